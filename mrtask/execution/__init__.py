@@ -1,0 +1,1 @@
+"""Episodes: trials, the simulated team, and traces."""

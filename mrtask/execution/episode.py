@@ -1,0 +1,103 @@
+"""One planner on one trial, from the first decision to acceptance or a stated failure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.execution.simulation import Simulation
+from mrtask.execution.trace import Trace
+from mrtask.execution.trials import Trial, key_seed
+from mrtask.homes.home import Home
+from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import make_planner
+from mrtask.tasks.automaton import build_automaton
+
+CELL_M = 0.05
+"""The paper's grid cell, in which its table counts cost."""
+MAX_DECISIONS = 1000
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """What an episode came to. Cost is the makespan; ``error`` says why a failed one failed."""
+
+    planner: str
+    status: str
+    cost_s: float | None
+    cost_cells: float | None
+    decisions: int
+    planning_s: float
+    samples: int
+    error: str | None
+    trace: Trace
+
+
+def run_episode(
+    trial: Trial,
+    home: Home,
+    home_map: HomeMap,
+    likelihood: NDArray[np.float64],
+    planner_name: str,
+    planner_options: Mapping[str, object] | None = None,
+    *,
+    max_decisions: int = MAX_DECISIONS,
+) -> EpisodeResult:
+    """Runs a trial with a planner.
+
+    Args:
+        likelihood: [C, O] the model's probability that container c holds the trial's object o.
+
+    Raises:
+        ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
+    """
+    planner = make_planner(planner_name, planner_options)
+    automaton = build_automaton(trial.formula, trial.objects)
+    truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
+    simulation = Simulation(
+        home,
+        home_map,
+        automaton,
+        likelihood,
+        truth,
+        robots=trial.robots,
+        start_cell=trial.start_cell,
+        speed_m_per_s=trial.speed_m_per_s,
+        search_time_s=trial.search_time_s,
+        interact_time_s=trial.interact_time_s,
+        known=getattr(planner, "knows_contents", False),
+    )
+    decisions, samples, planning_s, error = 0, 0, 0.0, None
+    while not simulation.accepted:
+        if decisions == max_decisions:
+            error = f"decision limit of {max_decisions} reached"
+            break
+        problem = simulation.problem()
+        began_s = perf_counter()
+        plan = planner.plan(problem, key_seed(trial.seed, planner_name, decisions))
+        planning_s += perf_counter() - began_s
+        decisions += 1
+        samples += plan.info.samples
+        simulation.assign(plan.assignments, redirect=planner.reassigns_all)
+        if not simulation.advance():
+            missing = simulation.missing()
+            error = (
+                f"found in no container that can be reached: {', '.join(missing)}"
+                if missing and simulation.searched[home_map.reachable].all()
+                else "every robot waits and none is under way"
+            )
+            break
+    cost_s = simulation.time_s if error is None else None
+    return EpisodeResult(
+        planner=planner_name,
+        status="accepted" if error is None else "failed",
+        cost_s=cost_s,
+        cost_cells=None if cost_s is None else cost_s * trial.speed_m_per_s / CELL_M,
+        decisions=decisions,
+        planning_s=planning_s,
+        samples=samples,
+        error=error,
+        trace=simulation.trace(),
+    )

@@ -1,0 +1,115 @@
+"""Trials: which home, task, start and team an episode has. All randomness of a trial comes from its own key."""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrtask.homes.home import Home
+from mrtask.maps.home_map import HomeMap
+from mrtask.tasks.templates import TEMPLATES, make_formula
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One paired comparison: every planner runs on the same home, task, start and world."""
+
+    trial_id: str
+    home_id: str
+    size_class: str
+    robots: int
+    template: str
+    formula: str
+    objects: tuple[str, ...]
+    start_cell: tuple[int, int]
+    seed: int
+    speed_m_per_s: float = 1.0
+    search_time_s: float = 0.0
+    interact_time_s: float = 0.0
+
+
+def trial_id(size_class: str, robots: int, number: int) -> str:
+    """The key of a trial: ``medium-2-017``."""
+    return f"{size_class}-{robots}-{number:03d}"
+
+
+def key_seed(*key: int | str) -> int:
+    """A 63-bit seed that depends on the key alone."""
+    words = [part if isinstance(part, int) else zlib.crc32(part.encode()) for part in key]
+    return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def home_order(homes: Sequence[Home], size_class: str, robots: int, seed: int) -> list[Home]:
+    """The homes of a class in the order in which a cell's trials take them, whatever order they come in."""
+    members = sorted((home for home in homes if home.size_class == size_class), key=lambda home: home.id)
+    rng = np.random.default_rng(key_seed(seed, "homes", size_class, robots))
+    return [members[index] for index in rng.permutation(len(members))]
+
+
+def reachable_objects(home: Home, home_map: HomeMap) -> list[str]:
+    """The distinct objects of the containers that a robot can reach, sorted."""
+    reached = home_map.reachable
+    return sorted(
+        {name for container, ok in zip(home.containers, reached, strict=True) if ok for name in container.objects}
+    )
+
+
+def sample_trial(
+    size_class: str,
+    robots: int,
+    number: int,
+    order: Sequence[Home],
+    map_of: Callable[[Home], HomeMap],
+    *,
+    seed: int,
+    templates: Sequence[str] = tuple(TEMPLATES),
+    formula: str | None = None,
+    formula_objects: tuple[str, ...] = (),
+    speed_m_per_s: float = 1.0,
+    search_time_s: float = 0.0,
+    interact_time_s: float = 0.0,
+) -> Trial:
+    """The ``number``-th trial of a cell, on the homes of `home_order`.
+
+    The template is drawn among those that the home has enough distinct reachable objects for, the objects and the start
+    cell uniformly. Homes with too few objects for every template are passed over. A ``formula`` of the user's own, over
+    ``formula_objects``, takes the place of the templates in every trial.
+
+    Raises:
+        ValueError: no home of the class has enough objects.
+    """
+    rng = np.random.default_rng(key_seed(seed, "trial", size_class, robots, number))
+    for step in range(len(order)):
+        home = order[(number + step) % len(order)]
+        home_map = map_of(home)
+        names = reachable_objects(home, home_map)
+        if formula is not None:
+            template, text, objects = "formula", formula, formula_objects
+        else:
+            fitting = [name for name in templates if TEMPLATES[name].arity <= len(names)]
+            if not fitting:
+                continue
+            template = fitting[int(rng.integers(len(fitting)))]
+            objects = tuple(str(name) for name in rng.choice(names, TEMPLATES[template].arity, replace=False))
+            text = make_formula(template, objects)
+        cells = np.argwhere(home_map.free)
+        row, col = cells[int(rng.integers(len(cells)))]
+        return Trial(
+            trial_id=trial_id(size_class, robots, number),
+            home_id=home.id,
+            size_class=size_class,
+            robots=robots,
+            template=template,
+            formula=text,
+            objects=objects,
+            start_cell=(int(row), int(col)),
+            seed=key_seed(seed, "planner", size_class, robots, number),
+            speed_m_per_s=speed_m_per_s,
+            search_time_s=search_time_s,
+            interact_time_s=interact_time_s,
+        )
+    raise ValueError(
+        f"no {size_class} home has enough distinct reachable objects for any of the templates {', '.join(templates)}; "
+        f"give other evaluation homes or templates ({len(order)} homes tried)"
+    )

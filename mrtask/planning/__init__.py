@@ -1,0 +1,1 @@
+"""Who goes where next: the planning problem, the planners and their compiled search."""

@@ -1,0 +1,155 @@
+"""What a planner sees at a decision instant, and what it answers.
+
+A problem holds the task's automaton, the team, travel times and the *belief*: for every container and task object the
+probability that the object is there. The truth is not part of it. Legend for array shapes: R robots, C containers,
+O task objects, Z automaton states.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.tasks.automaton import Automaton
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+WAIT = -1
+"""The container of an assignment that sends the robot nowhere until the next decision instant."""
+
+ANY_SAFE = -1
+"""The interaction of an assignment under which the robot makes every interaction that cannot hurt, see `safe`."""
+
+
+class Assignment(NamedTuple):
+    """One robot's action: go to ``container`` (or `WAIT`), search it if nobody has, then interact there.
+
+    ``interaction`` is a task object's index: the robot interacts with that object only, if it is there and advances the
+    task; or `ANY_SAFE`.
+    """
+
+    container: int
+    interaction: int = ANY_SAFE
+
+
+@dataclass(frozen=True, eq=False)
+class RobotStatus:
+    """Where one robot is and what it does.
+
+    A *free* robot needs an assignment. A robot *under way* (``target >= 0``) may be redirected by planners that
+    reassign all robots. Any other robot is *busy* searching or interacting at ``place`` for ``remaining_s`` more.
+    """
+
+    travel_s: FloatArray
+    """[C] seconds from where the robot is to each container; inf where unreachable."""
+    place: int = -1
+    """The container the robot stands at, -1 anywhere else."""
+    free: bool = True
+    target: int = -1
+    """The container a robot under way goes to."""
+    interaction: int = ANY_SAFE
+    """The interaction that goes with the present action."""
+    remaining_s: float = 0.0
+    """Seconds until a robot under way arrives or a busy robot's search or interaction ends."""
+    interacting: int = -1
+    """The object a busy robot interacts with; -1 while it searches."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """The team's decision problem at one instant.
+
+    ``presence_prob`` ([C, O]) is 0 or 1 in searched containers and the likelihood elsewhere, as if containers were
+    independent; that every task object exists somewhere is for the planner to add.
+    """
+
+    automaton: Automaton
+    state: int
+    presence_prob: FloatArray
+    searched: BoolArray
+    travel_s: FloatArray
+    robots: tuple[RobotStatus, ...]
+    search_time_s: float = 0.0
+    interact_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        containers, objects = self.presence_prob.shape
+        if self.travel_s.shape != (containers, containers) or self.searched.shape != (containers,):
+            raise ValueError(
+                f"travel_s {self.travel_s.shape} and searched {self.searched.shape} must be [C, C] and [C] with the "
+                f"C = {containers} of presence_prob"
+            )
+        if objects != len(self.automaton.propositions):
+            raise ValueError(f"presence_prob has {objects} objects, the automaton {len(self.automaton.propositions)}")
+        if not self.robots:
+            raise ValueError("a team needs at least one robot")
+        if not ((self.presence_prob >= 0) & (self.presence_prob <= 1)).all():
+            raise ValueError("presence_prob must lie in [0, 1]")
+        if np.isnan(self.travel_s).any() or (self.travel_s < 0).any():
+            raise ValueError("travel_s must be >= 0 (inf where there is no way)")
+
+    def holds(self, container: int, obj: int) -> bool:
+        """Whether the object is known to be in the container."""
+        return bool(self.searched[container]) and self.presence_prob[container, obj] > 0
+
+    def found(self) -> BoolArray:
+        """[O] whether some container is known to hold the object."""
+        known = (self.presence_prob > 0) & self.searched[:, None]
+        return np.asarray(known.any(axis=0))
+
+
+@dataclass(frozen=True)
+class PlanInfo:
+    """Why a plan was chosen. Search planners fill all of it, rules only ``planning_s``.
+
+    ``root`` lists the first decided robot's candidate actions: ``(container, visits, mean cost in s, spread in s)``.
+    """
+
+    planning_s: float = 0.0
+    samples: int = 0
+    tree_nodes: int = 0
+    value_s: float = float("nan")
+    root: tuple[tuple[int, int, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An assignment for every robot that gets a new one; robots not named keep what they do."""
+
+    assignments: dict[int, Assignment]
+    info: PlanInfo = field(default_factory=PlanInfo)
+
+
+class Planner(Protocol):
+    """Decides who goes where next. ``reassigns_all`` also puts robots under way up for decision."""
+
+    reassigns_all: bool
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Assigns all free robots (and, with ``reassigns_all``, any robot under way); equal input, equal plan."""
+        ...
+
+
+def safe(automaton: Automaton) -> BoolArray:
+    """[Z, O]: interactions that advance the task and cannot hurt: afterwards all that would have served still serves.
+
+    That is ``L(delta(z, w))`` contains ``L(z)``.
+    """
+    after = automaton.transitions
+    before = np.arange(len(after))[:, None]
+    result: BoolArray = automaton.advancing & automaton.includes[after, before]
+    return result
+
+
+def needed(automaton: Automaton) -> BoolArray:
+    """[Z, O]: objects that advance the task in the state or in one that can still come before acceptance."""
+    result: BoolArray = automaton.advancing.copy()
+    while True:
+        grown = result.copy()
+        for obj in range(result.shape[1]):
+            grown |= result[automaton.transitions[:, obj]] & automaton.advancing[:, [obj]]
+        if (grown == result).all():
+            return result
+        result = grown

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrtask.execution.episode import run_episode
+from mrtask.execution.trace import Trace
+from mrtask.execution.trials import home_order, sample_trial
+from mrtask.maps.home_map import build_map
+from mrtask.planning.planners import PLANNERS
+from mrtask.tasks.templates import TEMPLATES
+from tests.execution.trace_check import check_trace
+
+OPTIONS = {"pouct": {"samples": 25}, "known": {"samples": 25}, "pouct_paper": {"samples": 25}}
+
+
+@pytest.fixture(scope="module")
+def world(generated_homes):
+    maps = {home.id: build_map(home) for home in generated_homes}
+    return generated_homes, maps
+
+
+def make_trial(world, size_class, robots, number, **options):
+    homes, maps = world
+    trial = sample_trial(
+        size_class,
+        robots,
+        number,
+        home_order(homes, size_class, robots, 0),
+        lambda home: maps[home.id],
+        seed=0,
+        **options,
+    )
+    home = next(home for home in homes if home.id == trial.home_id)
+    likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
+    return trial, home, maps[home.id], likelihood
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("template", TEMPLATES)
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_traces_obey_the_world(world, planner, template, robots):
+    for number, (size_class, search_s, interact_s) in enumerate(
+        [("small", 0.0, 0.0), ("medium", 1.5, 2.5), ("large", 0.0, 0.0)]
+    ):
+        trial, home, home_map, likelihood = make_trial(
+            world,
+            size_class,
+            robots,
+            number,
+            templates=[template],
+            search_time_s=search_s,
+            interact_time_s=interact_s,
+            speed_m_per_s=0.7,
+        )
+        result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+        assert result.status == "accepted"
+        check_trace(trial, home, home_map, result, known=planner == "known")
+        assert Trace.from_json(result.trace.to_json()) == result.trace
+        again = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+        assert (again.cost_s, again.trace, again.decisions) == (result.cost_s, result.trace, result.decisions)
+
+
+def test_the_check_catches_a_teleporting_robot(world):
+    trial, home, home_map, likelihood = make_trial(world, "medium", 2, 0)
+    result = run_episode(trial, home, home_map, likelihood, "greedy")
+    first = result.trace.robots[0]
+    moves = [leg for leg in first if leg.kind == "move"]
+    jumped = replace(moves[0], path=(moves[0].path[-1],))
+    legs = tuple(jumped if leg is moves[0] else leg for leg in first)
+    cheat = replace(result, trace=replace(result.trace, robots=(legs, *result.trace.robots[1:])))
+    with pytest.raises(AssertionError, match="position not continuous"):
+        check_trace(trial, home, home_map, cheat)
+    fast = replace(moves[0], t0_s=moves[0].t1_s - 0.01)
+    legs = tuple(fast if leg is moves[0] else leg for leg in first)
+    cheat = replace(result, trace=replace(result.trace, robots=(legs, *result.trace.robots[1:])))
+    with pytest.raises(AssertionError):
+        check_trace(trial, home, home_map, cheat)
+
+
+@pytest.mark.parametrize("planner", [name for name in PLANNERS if name != "known"])
+def test_an_object_that_is_nowhere_fails_with_its_name(world, planner):
+    trial, home, home_map, likelihood = make_trial(world, "small", 2, 0, templates=["and2"])
+    lost = replace(trial, objects=(trial.objects[0], "Unicorn"), formula=f"F {trial.objects[0]} & F Unicorn")
+    result = run_episode(lost, home, home_map, likelihood, planner, OPTIONS.get(planner))
+    assert result.status == "failed"
+    assert result.cost_s is None and "Unicorn" in result.error
+    check_trace(lost, home, home_map, result)
+
+
+def test_known_fails_at_once_when_an_object_is_nowhere(world):
+    trial, home, home_map, likelihood = make_trial(world, "small", 1, 0, templates=["and2"])
+    lost = replace(trial, objects=("Unicorn", "Dragon"), formula="F Unicorn & F Dragon")
+    result = run_episode(lost, home, home_map, likelihood, "known", OPTIONS["known"])
+    assert (result.status, result.decisions) == ("failed", 1)
+
+
+def test_a_formula_true_from_the_start_costs_nothing(world):
+    trial, home, home_map, likelihood = make_trial(world, "small", 2, 0, templates=["and2"])
+    done = replace(trial, formula=f"true | F {trial.objects[0]}")
+    result = run_episode(done, home, home_map, likelihood, "pouct", OPTIONS["pouct"])
+    assert (result.status, result.cost_s, result.decisions) == ("accepted", 0.0, 0)
+
+
+def test_the_decision_limit_ends_an_episode_with_a_reason(world):
+    trial, home, home_map, likelihood = make_trial(world, "large", 1, 0, templates=["and3"])
+    result = run_episode(trial, home, home_map, likelihood, "nonlearned_myopic", max_decisions=1)
+    assert result.status == "failed"
+    assert "decision limit of 1" in result.error
