@@ -1,0 +1,340 @@
+"""Parser of co-safe LTL task formulas, with errors that point at the offending character.
+
+The grammar, from the tightest binding to the loosest: ``! X F`` (unary), ``U`` (right-associative), ``&``, ``|``,
+``->`` (right-associative); ``true``, ``false``, parentheses and object names. A formula is accepted when it is
+syntactically co-safe (Kupferman and Vardi, *Model Checking of Safety Properties*, 2001): with the negations pushed
+inward, none is left in front of ``F`` or ``U``, so each satisfying run satisfies it after finitely many letters.
+"""
+
+import difflib
+import re
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+RESERVED_WORDS = ("X", "F", "U", "G", "true", "false")
+MAX_NESTING = 100
+"""Levels of nested parentheses and operators, well inside Python's recursion limit."""
+NAMES_SHOWN = 20
+"""Allowed names listed in an error before it only counts them."""
+
+_NAME = re.compile(r"[^\W\d]\w*")
+_TOKEN = re.compile(r"[^\W\d]\w*|->|[!&|()]")
+_BINDING = {"->": 1, "|": 2, "&": 3, "U": 4}
+_GRAMMAR = "a formula has object names, true, false, ! & | -> X F U and parentheses"
+_NEVER_COMPLETED = (
+    "asks for something at all times, and no finite run completes that (only co-safe formulas make tasks); "
+    "say what must not happen before what, as in '!b U a'"
+)
+
+
+class FormulaError(ValueError):
+    """A formula that is no task: what is wrong, at which ``position`` (counted from 1), with a caret under it."""
+
+    def __init__(self, message: str, text: str, position: int) -> None:
+        super().__init__(message, text, position)
+        self.message = message
+        self.text = text
+        self.position = position
+
+    def __str__(self) -> str:
+        line = re.sub(r"\s", " ", self.text)
+        return f"{self.message} (position {self.position})\n  {line}\n  {' ' * (self.position - 1)}^"
+
+
+@dataclass(frozen=True)
+class Node:
+    """What all parts of a formula have: the ``position`` in the text that errors point at, no part of the equality."""
+
+    position: int = field(default=1, compare=False, repr=False, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Constant(Node):
+    """``true`` or ``false``."""
+
+    value: bool
+
+
+@dataclass(frozen=True)
+class Proposition(Node):
+    """``name``: this letter is the interaction with that object."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Not(Node):
+    """``! operand``."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True)
+class And(Node):
+    """All ``operands``."""
+
+    operands: tuple["Formula", ...]
+
+
+@dataclass(frozen=True)
+class Or(Node):
+    """One or more of the ``operands``."""
+
+    operands: tuple["Formula", ...]
+
+
+@dataclass(frozen=True)
+class Implies(Node):
+    """``left -> right``."""
+
+    left: "Formula"
+    right: "Formula"
+
+
+@dataclass(frozen=True)
+class Next(Node):
+    """``X operand``: holds from the next letter on."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True)
+class Eventually(Node):
+    """``F operand``: holds from this letter or a later one on."""
+
+    operand: "Formula"
+
+
+@dataclass(frozen=True)
+class Until(Node):
+    """``left U right``: ``right`` holds from this letter or a later one on, and ``left`` from each letter before."""
+
+    left: "Formula"
+    right: "Formula"
+
+
+Formula = Constant | Proposition | Not | And | Or | Implies | Next | Eventually | Until
+
+
+def parse(text: str, propositions: Collection[str] | None = None) -> Formula:
+    """Parse a co-safe formula.
+
+    Args:
+        text: The formula.
+        propositions: The object names that may occur; ``None`` allows every name.
+
+    Raises:
+        FormulaError: The text is no formula, names an unknown object, or is not co-safe.
+    """
+    formula = _Parser(text, propositions).parse()
+    try:
+        push_negations(formula)
+    except _NotCoSafe as error:
+        raise FormulaError(f"not co-safe: {error.reason}", text, error.position) from None
+    return formula
+
+
+def push_negations(formula: Formula, negated: bool = False) -> Formula:
+    """The equivalent formula (of the negation, where ``negated``) in constants, propositions, negated propositions,
+    ``And``, ``Or``, ``Next`` and ``Until``; ``F a`` becomes ``true U a``.
+
+    Raises:
+        ValueError: A negation stays in front of ``F`` or ``U``; ``parse`` has refused such a formula.
+    """
+    match formula:
+        case Constant(value):
+            return replace(formula, value=value != negated)
+        case Proposition():
+            return Not(formula) if negated else formula
+        case Not(operand):
+            return push_negations(operand, not negated)
+        case And(operands) | Or(operands):
+            parts = tuple(push_negations(operand, negated) for operand in operands)
+            return And(parts) if isinstance(formula, And) != negated else Or(parts)
+        case Implies(left, right):
+            parts = (push_negations(left, not negated), push_negations(right, negated))
+            return And(parts) if negated else Or(parts)
+        case Next(operand):
+            return Next(push_negations(operand, negated))
+        case Eventually() | Until() if negated:
+            raise _NotCoSafe(formula)
+        case Eventually(operand):
+            return Until(Constant(True), push_negations(operand))
+        case Until(left, right):
+            return Until(push_negations(left), push_negations(right))
+
+
+def proposition_names(formula: Formula) -> tuple[str, ...]:
+    """The names in a formula, each once, in order of appearance."""
+    match formula:
+        case Constant():
+            return ()
+        case Proposition(name):
+            return (name,)
+        case Not(operand) | Next(operand) | Eventually(operand):
+            return proposition_names(operand)
+        case And(operands) | Or(operands):
+            parts = operands
+        case Implies(left, right) | Until(left, right):
+            parts = (left, right)
+    return tuple(dict.fromkeys(name for part in parts for name in proposition_names(part)))
+
+
+def check_names(names: Iterable[str]) -> tuple[str, ...]:
+    """The names as a tuple, in their order (a set's are sorted), when formulas can use them as propositions.
+
+    Raises:
+        ValueError: One is reserved, no identifier, or there twice.
+    """
+    if isinstance(names, str):
+        raise ValueError(f"object names must be a collection of names, not the one string {names!r}; write [{names!r}]")
+    checked = tuple(sorted(names)) if isinstance(names, (set, frozenset)) else tuple(names)
+    for name in checked:
+        if name in RESERVED_WORDS:
+            raise ValueError(
+                f"object name {name!r} is reserved in formulas ({' '.join(RESERVED_WORDS)}); rename the object"
+            )
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                f"object name {name!r} cannot be written in a formula: use letters, digits and _, not starting with "
+                "a digit, as in RemoteControl"
+            )
+        if checked.count(name) > 1:
+            raise ValueError(f"object name {name!r} is given twice; name each object once")
+    return checked
+
+
+class _NotCoSafe(ValueError):
+    """A negated ``F`` or ``U``, where only ``parse`` knows the text to show."""
+
+    def __init__(self, formula: Eventually | Until) -> None:
+        operator = "F" if isinstance(formula, Eventually) else "U"
+        self.reason = f"this {operator} stands under a negation (or left of ->), which {_NEVER_COMPLETED}"
+        self.position = formula.position
+        super().__init__(f"not co-safe: {self.reason}")
+
+
+class _Parser:
+    """Precedence climbing over the tokens of one formula."""
+
+    def __init__(self, text: str, propositions: Collection[str] | None) -> None:
+        self.text = text
+        self.propositions = propositions
+        self.tokens = self._tokens()
+        self.next = 0
+        self.depth = 0
+
+    def parse(self) -> Formula:
+        if not self.text.strip():
+            raise FormulaError(f"the formula is empty: {_GRAMMAR}", self.text, 1)
+        formula = self._binary(1)
+        token, position = self.tokens[self.next]
+        if token == ")":
+            raise self._error("this ')' closes nothing", position)
+        if token:
+            raise self._error(f"expected an operator (& | -> U) or the end, found {token!r}", position)
+        return formula
+
+    def _tokens(self) -> list[tuple[str, int]]:
+        """Tokens with their positions, then an empty one for the end."""
+        tokens = []
+        index = 0
+        while index < len(self.text):
+            if self.text[index].isspace():
+                index += 1
+            elif match := _TOKEN.match(self.text, index):
+                tokens.append((match.group(), index + 1))
+                index = match.end()
+            else:
+                raise self._error(f"unexpected character {self.text[index]!r}: {_GRAMMAR}", index + 1)
+        return [*tokens, ("", len(self.text.rstrip()) + 1)]
+
+    def _binary(self, loosest: int) -> Formula:
+        """Operands joined by operators that bind at least as tightly as ``loosest``."""
+        left = self._unary()
+        while True:
+            operator, position = self.tokens[self.next]
+            binding = _BINDING.get(operator, 0)
+            if binding < loosest:
+                return left
+            self.next += 1
+            match operator:
+                case "->" | "U":
+                    with self._level(position):
+                        right = self._binary(binding)
+                    left = (Until if operator == "U" else Implies)(left, right, position=position)
+                case "&":
+                    joined = left.operands if isinstance(left, And) else (left,)
+                    left = And((*joined, self._binary(binding + 1)), position=position)
+                case _:
+                    joined = left.operands if isinstance(left, Or) else (left,)
+                    left = Or((*joined, self._binary(binding + 1)), position=position)
+
+    def _unary(self) -> Formula:
+        """An operand with the ``!``, ``X`` and ``F`` in front of it."""
+        token, position = self.tokens[self.next]
+        self.next += bool(token)
+        match token:
+            case "!" | "X" | "F":
+                with self._level(position):
+                    operand = self._unary()
+                if token == "!":
+                    return Not(operand, position=position)
+                return (Next if token == "X" else Eventually)(operand, position=position)
+            case "G":
+                raise self._error(f"not co-safe: G {_NEVER_COMPLETED}", position)
+            case "true" | "false":
+                return Constant(token == "true", position=position)
+            case "(":
+                with self._level(position):
+                    formula = self._binary(1)
+                closing, found_at = self.tokens[self.next]
+                if not closing:
+                    raise self._error("this '(' is never closed", position)
+                if closing != ")":
+                    raise self._error(f"expected an operator (& | -> U) or ')', found {closing!r}", found_at)
+                self.next += 1
+                return formula
+        if _NAME.fullmatch(token) and token not in RESERVED_WORDS:
+            self._check_known(token, position)
+            return Proposition(token, position=position)
+        found = repr(token) if token else "the end"
+        raise self._error(f"expected an object name, true, false, ! X F or '(', found {found}", position)
+
+    @contextmanager
+    def _level(self, position: int) -> Iterator[None]:
+        if self.depth == MAX_NESTING:
+            raise self._error(f"nested deeper than {MAX_NESTING} levels; drop brackets or split the formula", position)
+        self.depth += 1
+        yield
+        self.depth -= 1
+
+    def _check_known(self, name: str, position: int) -> None:
+        if self.propositions is None or name in self.propositions:
+            return
+        allowed = sorted(self.propositions)
+        by_lower_case = {known.lower(): known for known in allowed}
+        matches = difflib.get_close_matches(name.lower(), by_lower_case)
+        suggestion = _split_operators(name, self.propositions) or (by_lower_case[matches[0]] if matches else "")
+        more = f", ... ({len(allowed)} in all)" if len(allowed) > NAMES_SHOWN else ""
+        raise self._error(
+            f"unknown object {name!r}{f', did you mean {suggestion!r}?' if suggestion else ''}; "
+            f"allowed: {', '.join(allowed[:NAMES_SHOWN]) or 'none'}{more}",
+            position,
+        )
+
+    def _error(self, message: str, position: int) -> FormulaError:
+        return FormulaError(message, self.text, position)
+
+
+def _split_operators(word: str, allowed: Collection[str]) -> str:
+    """``F a`` for ``Fa``, ``a U b`` for ``aUb`` (operators glued to allowed names), or an empty string."""
+    if word in allowed:
+        return word
+    if word[:1] in ("X", "F") and (rest := _split_operators(word[1:], allowed)):
+        return f"{word[0]} {rest}"
+    for index, letter in enumerate(word):
+        if letter == "U" and word[:index] in allowed and (rest := _split_operators(word[index + 1 :], allowed)):
+            return f"{word[:index]} U {rest}"
+    return ""

@@ -1,0 +1,78 @@
+import pytest
+
+from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.formula import parse
+from mrtask.tasks.templates import TEMPLATES, make_formula
+from tests.tasks.naive_ltl import TEMPLATE_FORMULAS, good_words, text_of, words
+
+# For each template, words that complete it (with no shorter prefix doing so) and words that do not.
+EXPECTED = {
+    "and2": (["ab", "ba", "aaab"], ["", "aa", "b"]),
+    "and3": (["abc", "cba", "bbac"], ["ab", "aabb"]),
+    "and_or": (["ab", "ac", "ba", "bca"], ["a", "bc", "cb"]),
+    "seq2": (["ab", "aab"], ["ba", "bab", "a"]),
+    "seq3": (["abc", "aabbc"], ["acb", "bac", "abab", "cabc"]),
+    "or_seq": (["acd", "bcd", "abcd", "bacccd", "acabd"], ["a", "b", "ab", "cad", "adcd", "acb", "cd", "dacd"]),
+}
+SINKS = {"and2": "", "and3": "", "and_or": "", "seq2": "b", "seq3": "ac", "or_seq": "ad"}
+STATES = {"and2": 4, "and3": 8, "and_or": 4, "seq2": 4, "seq3": 5, "or_seq": 5}
+
+
+def test_there_are_the_six_templates_of_the_paper():
+    assert list(TEMPLATES) == list(EXPECTED)
+    assert [template.arity for template in TEMPLATES.values()] == [2, 3, 3, 2, 3, 4]
+    assert [name for name, template in TEMPLATES.items() if template.name != name] == []
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_template_means_what_its_hand_written_cases_say(name):
+    letters = list("abcd"[: TEMPLATES[name].arity])
+    automaton = build_automaton(make_formula(name, letters), letters)
+    completing, others = EXPECTED[name]
+    for word in completing:
+        assert automaton.accepting[automaton.run(word)], word
+        assert not automaton.accepting[automaton.run(word[:-1])], word
+    for word in others:
+        assert not automaton.accepting[automaton.run(word)], word
+    assert len(automaton.transitions) == STATES[name]
+    assert (automaton.sink == -1) == (SINKS[name] == "")
+    if SINKS[name]:
+        assert automaton.run(SINKS[name]) == automaton.sink
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_template_agrees_with_the_definition_on_all_words(name):
+    letters = "abcd"[: TEMPLATES[name].arity]
+    formula = TEMPLATE_FORMULAS[name]
+    assert parse(make_formula(name, list(letters))) == parse(text_of(formula))
+    automaton = build_automaton(make_formula(name, list(letters)))
+    accepted = {word for word in words(letters, 5) if automaton.accepting[automaton.run(word)]}
+    assert accepted == good_words(formula, letters, 5, stem_length=1)
+
+
+def test_or_seq_needs_the_brackets_that_the_papers_listing_omits():
+    listing = "((!c & !d) U a) | ((!c & !d) U b) & (!d U c) & F d"
+    misread = build_automaton(listing, ["a", "b", "c", "d"])
+    ours = build_automaton(make_formula("or_seq", ["a", "b", "c", "d"]))
+    assert misread.accepting[misread.run(["a"])]
+    assert not ours.accepting[ours.run(["a"])]
+    assert ours.steps_to_accept[ours.initial] == 3
+
+
+def test_make_formula_puts_the_objects_in_order():
+    assert make_formula("seq2", ["Mug", "RemoteControl"]) == "(!RemoteControl U Mug) & F RemoteControl"
+
+
+@pytest.mark.parametrize(
+    ("template", "objects", "message"),
+    [
+        ("and4", ["Mug"], "unknown template 'and4'; allowed: and2, and3, and_or, seq2, seq3, or_seq"),
+        ("and2", ["Mug"], r"template 'and2' \(a and b\) takes 2 objects, not 1: Mug"),
+        ("and2", [], "takes 2 objects, not 0: none"),
+        ("seq2", ["Mug", "Mug"], "object name 'Mug' is given twice"),
+        ("seq2", ["Mug", "Spray Bottle"], "object name 'Spray Bottle' cannot be written in a formula"),
+    ],
+)
+def test_make_formula_refuses_what_does_not_fit(template, objects, message):
+    with pytest.raises(ValueError, match=message):
+        make_formula(template, objects)
