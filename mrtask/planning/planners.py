@@ -8,6 +8,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
+from mrtask.planning.paper import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Greedy, Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner
 from mrtask.planning.rules import learned_myopic, nonlearned_myopic
@@ -18,6 +19,11 @@ def pouct(**options: object) -> Planner:
     return Pouct(PouctOptions(**options))  # type: ignore[arg-type]
 
 
+def pouct_paper(**options: object) -> Planner:
+    """`PaperPouct` with `PaperOptions` as keywords."""
+    return PaperPouct(PaperOptions(**options))  # type: ignore[arg-type]
+
+
 def known(**options: object) -> Planner:
     """`Known` with `PouctOptions` as keywords."""
     return Known(PouctOptions(**options))  # type: ignore[arg-type]
@@ -26,9 +32,16 @@ def known(**options: object) -> Planner:
 PLANNERS: Mapping[str, Callable[..., Planner]] = {
     "nonlearned_myopic": nonlearned_myopic,
     "learned_myopic": learned_myopic,
-    "greedy": Greedy,
+    "pouct_paper": pouct_paper,
     "pouct": pouct,
+    "greedy": Greedy,
     "known": known,
+}
+
+OPTIONS: Mapping[str, Callable[..., object]] = {
+    "pouct": PouctOptions,
+    "known": PouctOptions,
+    "pouct_paper": PaperOptions,
 }
 
 
@@ -54,7 +67,7 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
     try:
         return factory(**(options or {}))
     except (TypeError, ValueError) as error:
-        accepted = PouctOptions if name in ("pouct", "known") else factory
+        accepted = OPTIONS.get(name, factory)
         raise ValueError(
             f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(accepted)}"
         ) from error

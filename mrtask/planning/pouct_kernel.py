@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import compiled, random_unit
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -100,17 +100,6 @@ class Search(NamedTuple):
     exploration: float
     widening_factor: float
     widening_exponent: float
-
-
-@compiled
-def _random(rng: U8) -> float:
-    """splitmix64 (Steele et al. 2014): uniform in [0, 1); the state is advanced in place."""
-    rng[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = rng[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return float(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
@@ -299,7 +288,7 @@ def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
         if (model.needed[z] >> o) & 1:
             prob = model.prob[c, o]
             exists = 1.0 if (found >> o) & 1 else 1.0 - world.nowhere[o]
-            if _random(rng) * exists < prob:
+            if random_unit(rng) * exists < prob:
                 held |= 1 << o
         world.nowhere[o] = min(world.nowhere[o] / (1.0 - model.prob[c, o]), 1.0)
     world.searched[c] = 1

@@ -1,4 +1,4 @@
-"""An episode's trace checked from scratch: it knows the truth, the geometry and LTL's definition, not the simulation."""
+"""An episode's trace checked from scratch: it knows the truth, the geometry and LTL, not the simulation."""
 
 from itertools import pairwise
 from math import dist

@@ -1,0 +1,227 @@
+"""`pouct_paper`: the planner of the paper. PO-UCT over actions <container, object> with Algorithm 1's outcomes.
+
+Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that may help;
+robots under way keep their action. A leaf is worth the time so far plus a lower bound on the rest: every object at
+its nearest possible container, fetched by its nearest robot, all at once. The plan is the joint action of least mean
+cost. The paper does not say which bound it uses; this one is admissible.
+"""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from mrtask.planning import paper_kernel as kernel
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, needed
+from mrtask.tasks.automaton import Automaton
+
+DEEPEST_PATH = 4096
+BATCH_SAMPLES = 256
+MOST_OBJECTS = 30
+MOST_SETS = 4096
+
+
+@dataclass(frozen=True)
+class PaperOptions:
+    """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration."""
+
+    samples: int = 100_000
+    time_limit_s: float | None = None
+    """Stop earlier after this many seconds; plans then depend on the machine."""
+    exploration: float = 1.0
+    """UCB1's constant, in standard deviations of the cost at the root."""
+    max_nodes: int = 1_000_000
+    """The tree stops growing there; further samples only refine it."""
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "max_nodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.exploration < 0:
+            raise ValueError(f"exploration must be >= 0, not {self.exploration}")
+        if self.time_limit_s is not None and self.time_limit_s <= 0:
+            raise ValueError(f"time_limit_s must be > 0 or null, not {self.time_limit_s}")
+
+
+class PaperPouct:
+    """The paper's search planner; see the module."""
+
+    reassigns_all = False
+
+    def __init__(self, options: PaperOptions) -> None:
+        self.options = options
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
+
+        Raises:
+            ValueError: more task objects than the kernel's bit masks hold.
+        """
+        began_s = perf_counter()
+        free = [index for index, robot in enumerate(problem.robots) if robot.free]
+        if problem.automaton.accepting[problem.state] or not free:
+            return Plan({index: Assignment(WAIT) for index in free})
+        options = self.options
+        model, root, belief = prepare(problem)
+        tree = _empty_tree(min(options.samples + 1, options.max_nodes))
+        kernel.new_node(root, tree, kernel.NONE)
+        rng = np.array([seed], dtype=np.uint64)
+        moments, path = np.zeros(3), np.empty(DEEPEST_PATH, dtype=np.int32)
+        soonest_s = np.empty(model.prob.shape[1])
+        done = 0
+        batch = options.samples if options.time_limit_s is None else BATCH_SAMPLES
+        while done < options.samples:
+            count = min(batch, options.samples - done)
+            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, moments, path, soonest_s)
+            done += count
+            if options.time_limit_s is not None and perf_counter() - began_s > options.time_limit_s:
+                break
+        best = _cheapest(tree, 0)
+        info = PlanInfo(
+            planning_s=perf_counter() - began_s,
+            samples=done,
+            tree_nodes=int(tree.size[0]),
+            value_s=float(tree.total_s[best] / tree.tries[best]),
+            root=tuple(
+                (int(tree.action[edge]), int(tree.tries[edge]), float(tree.total_s[edge] / tree.tries[edge]), np.nan)
+                for edge in _edges(tree, 0)
+            ),
+        )
+        return Plan(_joint_action(problem, tree, free), info)
+
+
+def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBelief, kernel.PaperBelief]:
+    """The problem in the kernel's terms: the model, the root belief, and a belief to overwrite."""
+    containers, objects = problem.presence_prob.shape
+    if objects > MOST_OBJECTS:
+        raise ValueError(f"pouct_paper handles tasks of up to {MOST_OBJECTS} objects, this one has {objects}")
+    automaton = problem.automaton
+    bits = 1 << np.arange(objects)
+    finite_s = problem.travel_s[np.isfinite(problem.travel_s)]
+    model = kernel.PaperModel(
+        travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
+        away_s=np.array([robot.travel_s for robot in problem.robots]),
+        prob=np.where(problem.searched[:, None], 0.0, problem.presence_prob),
+        transitions=automaton.transitions.astype(np.int32),
+        accepting=automaton.accepting.astype(np.uint8),
+        advancing=(automaton.advancing * bits).sum(axis=1).astype(np.int64),
+        needed=(needed(automaton) * bits).sum(axis=1).astype(np.int64),
+        sufficient=sufficient_sets(automaton),
+        search_time_s=float(problem.search_time_s),
+        interact_time_s=float(problem.interact_time_s),
+        penalty_s=float(containers * (finite_s.max(initial=1.0) + problem.search_time_s)),
+    )
+    known = np.where(problem.presence_prob > 0, kernel.PRESENT, kernel.ABSENT)
+    known[~problem.searched] = kernel.UNKNOWN
+    root = _blank_belief(containers, objects, len(problem.robots))
+    root.known[:] = known
+    root.searched[:] = problem.searched
+    root.state[0] = problem.state
+    for index, robot in enumerate(problem.robots):
+        root.place[index] = robot.place
+        if robot.free:
+            root.undecided[index] = 1
+        elif robot.target >= 0:
+            searching_s = 0.0 if problem.searched[robot.target] else problem.search_time_s
+            _put(root, index, robot.target, robot.interaction, robot.remaining_s + searching_s, problem)
+        elif robot.interacting >= 0:
+            _put(root, index, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
+        else:
+            _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
+    return model, root, _blank_belief(containers, objects, len(problem.robots))
+
+
+def sufficient_sets(automaton: Automaton) -> kernel.I8:
+    """[Z, S] for each state the minimal sets of objects (bit masks) along which advancing steps accept; padded by -1.
+
+    Raises:
+        ValueError: more than `MOST_SETS` minimal sets for one state.
+    """
+    sets: list[set[int]] = [{0} if accepting else set() for accepting in automaton.accepting]
+    changed = True
+    while changed:
+        changed = False
+        for state, advancing in enumerate(automaton.advancing):
+            grown = set(sets[state])
+            for obj in np.flatnonzero(advancing):
+                grown |= {members | (1 << int(obj)) for members in sets[automaton.transitions[state, obj]]}
+            minimal = {one for one in grown if not any(other != one and other & one == other for other in grown)}
+            if len(minimal) > MOST_SETS:
+                raise ValueError(f"more than {MOST_SETS} ways to complete the task; simplify the formula")
+            if minimal != sets[state]:
+                sets[state], changed = minimal, True
+    table = np.full((len(sets), max(1, *map(len, sets))), kernel.NONE, dtype=np.int64)
+    for state, members in enumerate(sets):
+        table[state, : len(members)] = sorted(members)
+    return table
+
+
+def _put(root: kernel.PaperBelief, robot: int, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
+    """Sets a robot's action under way; one that names no object (not this planner's) is taken for the first needed."""
+    root.place[robot] = place
+    root.obj[robot] = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
+    root.arrive_s[robot] = arrive_s
+    root.done_s[robot] = arrive_s + problem.interact_time_s
+
+
+def _blank_belief(containers: int, objects: int, robots: int) -> kernel.PaperBelief:
+    return kernel.PaperBelief(
+        clock=np.zeros(1),
+        state=np.zeros(1, dtype=np.int64),
+        known=np.zeros((containers, objects), dtype=np.uint8),
+        searched=np.zeros(containers, dtype=np.uint8),
+        place=np.full(robots, kernel.NONE, dtype=np.int32),
+        obj=np.full(robots, kernel.NONE, dtype=np.int32),
+        arrive_s=np.zeros(robots),
+        done_s=np.zeros(robots),
+        undecided=np.zeros(robots, dtype=np.uint8),
+    )
+
+
+def _empty_tree(nodes: int) -> kernel.PaperTree:
+    def integers() -> kernel.I4:
+        return np.empty(nodes, dtype=np.int32)
+
+    return kernel.PaperTree(
+        size=np.zeros(2, dtype=np.int64),
+        visits=integers(),
+        robot=integers(),
+        next_try=integers(),
+        first_edge=integers(),
+        key=np.empty(nodes, dtype=np.int64),
+        sibling=integers(),
+        action=integers(),
+        next_edge=integers(),
+        first_child=integers(),
+        tries=integers(),
+        total_s=np.empty(nodes),
+    )
+
+
+def _edges(tree: kernel.PaperTree, node: int) -> list[int]:
+    edges, edge = [], int(tree.first_edge[node])
+    while edge != kernel.NONE:
+        edges.append(edge)
+        edge = int(tree.next_edge[edge])
+    return edges
+
+
+def _cheapest(tree: kernel.PaperTree, node: int) -> int:
+    """The edge of least mean cost."""
+    return min(_edges(tree, node), key=lambda edge: float(tree.total_s[edge] / tree.tries[edge]))
+
+
+def _joint_action(problem: PlanningProblem, tree: kernel.PaperTree, free: list[int]) -> dict[int, Assignment]:
+    """Follows the edges of least mean cost through the free robots; robots the tree did not reach wait."""
+    objects = problem.presence_prob.shape[1]
+    assignments = {index: Assignment(WAIT, 0) for index in free}
+    node = 0
+    for _ in free:
+        if node == kernel.NONE or tree.first_edge[node] == kernel.NONE:
+            break
+        edge = _cheapest(tree, node)
+        action = int(tree.action[edge])
+        if action != kernel.WAIT:
+            assignments[int(tree.robot[node])] = Assignment(action // objects, action % objects)
+        node = int(tree.first_child[edge])
+    return assignments
