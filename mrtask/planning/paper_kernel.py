@@ -20,7 +20,8 @@ U8 = NDArray[np.uint64]
 NONE = -1
 WAIT = -1
 UNKNOWN, PRESENT, ABSENT = 0, 1, 2
-DECIDE, DONE, STUCK = 0, 1, 2
+SMALLEST_PROB = 1e-12
+"""Below this the lower bound no longer follows what is improbable."""
 
 
 class PaperModel(NamedTuple):
@@ -43,7 +44,7 @@ class PaperBelief(NamedTuple):
     """One sample's team belief."""
 
     clock: F8  # [1]
-    state: I8  # [1]
+    state: I8  # [2] automaton state, mask of the objects known to be somewhere
     known: U1  # [C, O] UNKNOWN, PRESENT or ABSENT
     searched: U1  # [C]
     place: I4  # [R] container a robot stands at or goes to, NONE at its starting place
@@ -51,6 +52,14 @@ class PaperBelief(NamedTuple):
     arrive_s: F8  # [R] the action's failure event, in the past once the object is found
     done_s: F8  # [R] the action's success event
     undecided: U1  # [R]
+
+
+class Scratch(NamedTuple):
+    """Work space of the lower bound."""
+
+    nearest_s: F8  # [C]
+    order: I4  # [C]
+    mean_s: F8  # [O]
 
 
 class PaperTree(NamedTuple):
@@ -75,6 +84,7 @@ def copy_belief(source: PaperBelief, target: PaperBelief) -> None:
     """Overwrites target."""
     target.clock[0] = source.clock[0]
     target.state[0] = source.state[0]
+    target.state[1] = source.state[1]
     for c in range(source.searched.size):
         target.searched[c] = source.searched[c]
         for o in range(source.known.shape[1]):
@@ -142,6 +152,7 @@ def sample_outcome(model: PaperModel, belief: PaperBelief, rng: U8) -> int:
             if belief.known[c, obj] == UNKNOWN:
                 belief.known[c, obj] = PRESENT if random_unit(rng) < model.prob[c, obj] else ABSENT
             if belief.known[c, obj] == PRESENT:
+                belief.state[1] |= 1 << obj
                 continue
         elif (model.advancing[z] >> obj) & 1:
             belief.state[0] = model.transitions[z, obj]
@@ -160,11 +171,20 @@ def _mark_undecided(belief: PaperBelief) -> None:
 
 @compiled
 def _allowed(model: PaperModel, belief: PaperBelief, r: int, action: int) -> bool:
-    """Whether an action can help: its object may be there, is still needed and nobody's yet, and it is no mere wait."""
+    """Whether an action can help: its object may be there, is still needed and nobody's yet, and it is no mere wait.
+
+    An object known to be somewhere is not looked for elsewhere, and objects for later are looked for, or waited at,
+    once all those that advance the task now (W(z)) are located.
+    """
     objects = model.prob.shape[1]
     c, obj = action // objects, action % objects
     z = belief.state[0]
+    located = belief.state[1]
     if (model.needed[z] >> obj) & 1 == 0 or belief.known[c, obj] == ABSENT:
+        return False
+    if (located >> obj) & 1 and belief.known[c, obj] != PRESENT:
+        return False
+    if (model.advancing[z] >> obj) & 1 == 0 and model.advancing[z] & ~located:
         return False
     if belief.known[c, obj] == UNKNOWN and model.prob[c, obj] <= 0.0:
         return False
@@ -197,39 +217,48 @@ def _may_wait(belief: PaperBelief, r: int) -> bool:
 
 
 @compiled
-def lower_bound_s(model: PaperModel, belief: PaperBelief, soonest_s: F8) -> float:
-    """The least time to acceptance if every object were at its nearest possible container for its nearest robot.
+def lower_bound_s(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> float:
+    """The expected time to acceptance if the contents were told now and all objects were fetched at once.
 
-    The maximum over the objects of the best sufficient set: robots share objects, and visits of one robot add nothing.
-    ``soonest_s`` [O] is scratch.
+    Each object is worth the mean distance, over what may be where given that it exists, from its nearest container to
+    the nearest robot; a set of objects its farthest member; the task its cheapest sufficient set.
     """
     z = belief.state[0]
     if model.accepting[z]:
         return 0.0
-    for obj in range(soonest_s.size):
-        soonest_s[obj] = np.inf
-    for r in range(belief.place.size):
-        ready_s = 0.0
-        if belief.obj[r] != NONE:
-            ready_s = max(belief.arrive_s[r] - belief.clock[0], 0.0)
-        for c in range(belief.searched.size):
-            reach_s = ready_s + _distance_s(model, belief, r, c)
-            for obj in range(soonest_s.size):
-                possible = belief.known[c, obj] == PRESENT or (
-                    belief.known[c, obj] == UNKNOWN and model.prob[c, obj] > 0.0
-                )
-                if possible and reach_s < soonest_s[obj]:
-                    soonest_s[obj] = reach_s
+    containers = belief.searched.size
+    for c in range(containers):
+        nearest_s = np.inf
+        for r in range(belief.place.size):
+            ready_s = 0.0 if belief.obj[r] == NONE else max(belief.arrive_s[r] - belief.clock[0], 0.0)
+            nearest_s = min(nearest_s, ready_s + _distance_s(model, belief, r, c))
+        scratch.nearest_s[c] = nearest_s
+        spot = c  # insertion sort of the containers by distance
+        while spot > 0 and scratch.nearest_s[scratch.order[spot - 1]] > nearest_s:
+            scratch.order[spot] = scratch.order[spot - 1]
+            spot -= 1
+        scratch.order[spot] = c
+    for obj in range(model.prob.shape[1]):
+        nowhere, mean_s = 1.0, 0.0
+        for spot in range(containers):
+            c = scratch.order[spot]
+            if nowhere < SMALLEST_PROB or scratch.nearest_s[c] == np.inf:
+                break
+            if belief.known[c, obj] != ABSENT:
+                prob = 1.0 if belief.known[c, obj] == PRESENT else model.prob[c, obj]
+                mean_s += nowhere * prob * scratch.nearest_s[c]
+                nowhere *= 1.0 - prob
+        scratch.mean_s[obj] = mean_s / (1.0 - nowhere) if nowhere < 1.0 else np.inf
     best_s = np.inf
     for s in range(model.sufficient.shape[1]):
         members = model.sufficient[z, s]
         if members == NONE:
             break
-        worst_s = 0.0
-        for obj in range(soonest_s.size):
-            if (members >> obj) & 1 and soonest_s[obj] > worst_s:
-                worst_s = soonest_s[obj]
-        best_s = min(best_s, worst_s)
+        farthest_s = 0.0
+        for obj in range(model.prob.shape[1]):
+            if (members >> obj) & 1 and scratch.mean_s[obj] > farthest_s:
+                farthest_s = scratch.mean_s[obj]
+        best_s = min(best_s, farthest_s)
     return best_s if best_s < np.inf else model.penalty_s
 
 
@@ -299,7 +328,7 @@ def run_samples(
     samples: int,
     moments: F8,
     path: I4,
-    soonest_s: F8,
+    scratch: Scratch,
 ) -> None:
     """Runs samples from node 0, which must exist; arguments as in `pouct_kernel.run_samples`."""
     for _ in range(samples):
@@ -310,7 +339,7 @@ def run_samples(
             edge = _select(model, belief, tree, node, exploration * spread_s)
             tree.visits[node] += 1
             if edge == NONE:
-                rest_s = lower_bound_s(model, belief, soonest_s)
+                rest_s = lower_bound_s(model, belief, scratch)
                 break
             path[depth] = edge
             depth += 1
@@ -338,7 +367,7 @@ def run_samples(
                         tree.first_child[edge] = child
                     else:
                         tree.sibling[last] = child
-                rest_s = lower_bound_s(model, belief, soonest_s)
+                rest_s = lower_bound_s(model, belief, scratch)
                 break
             node = child
         cost_s = belief.clock[0] + rest_s

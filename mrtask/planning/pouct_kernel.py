@@ -227,11 +227,14 @@ def _best_action(
     """The action of least score that is not in ``skip`` ([C + O]); NONE and inf if there is none."""
     containers = world.searched.size
     best, best_score = NONE, np.inf
-    for c in range(containers):
-        if skip[c] == 0:
-            score = _score(model, world, inverse, fetching, ahead, r, c)
-            if score < best_score:
-                best, best_score = c, score
+    for early in range(2):  # with nothing to do now, be where an object is that is needed later
+        for c in range(containers):
+            if skip[c] == 0:
+                score = _score(model, world, inverse, fetching, ahead or early == 1, r, c)
+                if score < best_score:
+                    best, best_score = c, score
+        if best != NONE or ahead:
+            break
     z = world.state[0]
     named = model.advancing[z] & ~model.safe[z] & world.state[1] & ~fetching
     obj = 0

@@ -166,14 +166,24 @@ def test_a_robot_waits_with_a_found_object_while_the_other_finishes_the_earlier_
 
 
 def test_a_robot_goes_on_searching_when_waiting_costs_more():
-    # `b` is found where robot 1 stands, but nobody knows where `a` is: rather in the right one of two places.
-    points = [[0, 0], [-20, 0], [20, 0]]
-    prob = [[0.0, 1.0], [0.1, 0.0], [0.6, 0.0]]
+    # `b` is found where robot 1 stands, but nobody knows where `a` is: perhaps 3 m away.
+    points = [[0, 0], [-20, 0], [3, 0]]
+    prob = [[0.0, 1.0], [0.5, 0.0], [0.3, 0.0]]
     problem = make_problem("(!b U a) & F b", ["a", "b"], points, [[-5, 0], [0, 0]], prob, searched=[0])
     plan = make_planner("pouct", {"samples": 3000}).plan(problem, seed=0)
     assert plan.assignments[1].container == 2
     solver = ExactSolver(problem, prepare(problem, 0.3, True)[0].prob)
     assert solver.value({0: 1, 1: 2}) < solver.value({0: 1, 1: WAIT})
+
+
+def test_a_robot_that_waits_is_relieved_by_one_with_nothing_to_do():
+    # Robot 1 waits with `b` until robot 0 has looked at -20; if `a` is not there, robot 1 looks at 20 while robot 0
+    # takes its place. Both deep in the tree and out of the greedy policy's sight.
+    points = [[0, 0], [-20, 0], [20, 0]]
+    prob = [[0.0, 1.0], [0.3, 0.0], [0.3, 0.0]]
+    problem = make_problem("(!b U a) & F b", ["a", "b"], points, [[-5, 0], [0, 0]], prob, searched=[0])
+    plan = make_planner("pouct", {"samples": 3000}).plan(problem, seed=0)
+    assert plan.assignments == {0: Assignment(1), 1: Assignment(WAIT)}
 
 
 def test_a_robot_whose_target_was_found_by_another_is_redirected():
