@@ -30,7 +30,7 @@ SMALLEST_PROB = 1e-6
 """Likelihoods of 0 and 1 move this far inside: a container that should hold nothing is searched last, not never."""
 CACHED_ROWS = 4096
 DEEPEST_PATH = 4096
-BATCH_SAMPLES = 256
+BATCH_SAMPLES = 512
 MOST_OBJECTS = 30
 
 
@@ -39,12 +39,13 @@ class PouctOptions:
     """Options of `pouct`, under ``planner.pouct`` in the configuration."""
 
     samples: int = 100_000
+    """At most; a search whose most visited joint action no longer can be overtaken ends earlier, with the same plan."""
     time_limit_s: float | None = None
     """Stop earlier after this many seconds; plans then depend on the machine."""
-    exploration: float = 0.7
+    exploration: float = 1.0
     """UCB1's constant, in standard deviations of the makespan at the root."""
     widening_factor: float = 1.0
-    widening_exponent: float = 0.5
+    widening_exponent: float = 0.3
     """A node with n visits has up to factor * n ** exponent actions."""
     later_weight: float = 0.3
     """What finding an object that is needed later counts against finding one that advances the task now."""
@@ -95,10 +96,9 @@ class Pouct:
         search = kernel.Search(options.exploration, options.widening_factor, options.widening_exponent)
         rng = np.array([seed], dtype=np.uint64)
         moments, path = np.zeros(3), np.empty(DEEPEST_PATH, dtype=np.int32)
-        done = 0
-        batch = options.samples if options.time_limit_s is None else BATCH_SAMPLES
-        while done < options.samples:
-            count = min(batch, options.samples - done)
+        done, deciders = 0, int(root.undecided.sum())
+        while done < options.samples and not _is_settled(tree, deciders, options.samples - done):
+            count = min(BATCH_SAMPLES, options.samples - done)
             kernel.run_samples(model, root, world, tree, cache, search, rng, count, moments, path, skip)
             done += count
             if options.time_limit_s is not None and perf_counter() - began_s > options.time_limit_s:
@@ -273,6 +273,19 @@ def _most_visited(
             node = int(tree.first_child[edge])
         assignments[robot] = _assignment_begun(root, robot)
     return assignments
+
+
+def _is_settled(tree: kernel.Tree, deciders: int, samples_left: int) -> bool:
+    """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
+    node = 0
+    for _ in range(deciders):
+        tries = [*sorted((int(tree.tries[edge]) for edge in _edges(tree, node)), reverse=True), 0, 0]
+        if tries[0] - tries[1] <= samples_left:
+            return False
+        node = int(tree.first_child[_best_edge(tree, node)])
+        if node == kernel.NONE:
+            break
+    return True
 
 
 def _root_statistics(tree: kernel.Tree) -> list[tuple[int, int, float, float]]:

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.planning.pouct import prepare
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
@@ -38,7 +39,9 @@ def test_pouct_finds_the_exact_optimum(template, robots, containers, seconds):
     )
     solver = ExactSolver(problem, prepare(problem, 0.3, True)[0].prob)
     optimum_s = solver.optimum()
-    plan = make_planner("pouct", {"samples": 30_000, "exploration": 2.0}).plan(problem, seed=1)
+    plan = make_planner("pouct", {"samples": 100_000, "exploration": 1.5, "widening_exponent": 0.5}).plan(
+        problem, seed=1
+    )
     assert plan.info.value_s == pytest.approx(optimum_s, rel=0.01)
     assert solver.value(first_actions(plan)) == pytest.approx(optimum_s, rel=0.01)
 
@@ -78,18 +81,35 @@ def test_equal_problem_options_and_seed_give_an_equal_plan(name):
 def test_plan_info_says_why():
     problem = random_problem(0, template="and2", robots=2, containers=6)
     info = make_planner("pouct", {"samples": 2000}).plan(problem, seed=1).info
-    assert info.samples == 2000
-    assert 1 < info.tree_nodes <= 2001
-    assert sum(visits for _, visits, _, _ in info.root) == 2000
+    assert 1000 < info.samples <= 2000
+    assert 1 < info.tree_nodes <= info.samples + 1
+    assert sum(visits for _, visits, _, _ in info.root) == info.samples
     assert info.root[0][1] == max(visits for _, visits, _, _ in info.root)
     assert info.value_s == pytest.approx(info.root[0][2])
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_a_search_that_ends_early_takes_the_same_actions(robots, monkeypatch):
+    early = []
+    for seed in range(8):
+        problem = random_problem(seed, template="and3", robots=robots, containers=6)
+        planner = make_planner("pouct", {"samples": 4000})
+        plan = planner.plan(problem, seed)
+        with monkeypatch.context() as patch:
+            patch.setattr(pouct, "_is_settled", lambda *arguments: False)
+            whole = planner.plan(problem, seed)
+        assert plan.assignments == whole.assignments
+        assert whole.info.samples == 4000
+        early.append(plan.info.samples < 4000)
+    assert any(early)
 
 
 def test_a_full_tree_goes_on_with_what_it_has():
     problem = random_problem(0, template="and3", robots=2, containers=8)
     for name in ("pouct", "pouct_paper"):
         info = make_planner(name, {"samples": 3000, "max_nodes": 50}).plan(problem, seed=1).info
-        assert (info.samples, info.tree_nodes) == (3000, 50)
+        assert info.samples > 1000
+        assert info.tree_nodes == 50
 
 
 def test_a_time_limit_ends_the_search_early():
