@@ -1,0 +1,139 @@
+"""Downloads ProcTHOR-10K once, checked by sha256; afterwards it is used offline.
+
+Files appear complete or not at all. What an interrupted download has got is kept beside the file (``.part``), and the
+next try goes on from there where the server allows it. Sources: github.com/allenai/procthor-10k and, for the sizes of
+furniture, the asset database of github.com/allenai/procthor (both Apache-2.0).
+"""
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import pooch
+import requests
+from tqdm import tqdm
+
+HOMES_URL = "https://media.githubusercontent.com/media/allenai/procthor-10k/439193522244720b86d8c81cde2e51e3a4d150cf/"
+ASSETS_URL = (
+    "https://raw.githubusercontent.com/allenai/procthor/d4c4c6a9fdd9679c8b9343d771c510016cd310df/procthor/databases/"
+)
+TRIES = 3
+TIMEOUT_S = 30
+CHUNK_BYTES = 1 << 14
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """Where a file comes from and what it must be."""
+
+    url: str
+    size_bytes: int
+    sha256: str
+
+
+PROCTHOR_10K: Mapping[str, RemoteFile] = {
+    "train.jsonl.gz": RemoteFile(
+        HOMES_URL + "train.jsonl.gz", 53314510, "ee3c4aa14b4d8f0895fecfb5fdaca59395427ca1018b2f9aeeedbc61e5824587"
+    ),
+    "val.jsonl.gz": RemoteFile(
+        HOMES_URL + "val.jsonl.gz", 5094681, "d808540514e26b6726cd2790490e669b572eeb94febb5188a2f403591dd21721"
+    ),
+    "test.jsonl.gz": RemoteFile(
+        HOMES_URL + "test.jsonl.gz", 5022093, "9a9fa6f134e76fe87f3fd92c00883651cf9fadf4e9ad4072d6d73be229f001dc"
+    ),
+    "asset-database.json": RemoteFile(
+        ASSETS_URL + "asset-database.json", 1497002, "a292c54a227e16b27db81e6bc105c863e674cd6c1ec892d231886ea7604395d4"
+    ),
+}
+
+
+class DownloadError(RuntimeError):
+    """A file that could not be got: names it, the reason and what to do."""
+
+
+def fetch_procthor10k(
+    folder: Path,
+    names: Iterable[str] = tuple(PROCTHOR_10K),
+    progress: bool = False,
+    files: Mapping[str, RemoteFile] = PROCTHOR_10K,
+) -> dict[str, Path]:
+    """Path of each named file in ``folder``, downloaded unless a file with the right checksum is there already.
+
+    Raises `DownloadError` (offline, not found, wrong checksum, no room on the disk) and `ValueError` for unknown names.
+    """
+    wanted = list(names)
+    if unknown := sorted(set(wanted) - set(files)):
+        raise ValueError(f"no file '{unknown[0]}' in ProcTHOR-10K; allowed: {', '.join(files)}")
+    return {name: _fetch(files[name], folder / name, progress) for name in wanted}
+
+
+def _fetch(remote: RemoteFile, path: Path, progress: bool) -> Path:
+    part = path.with_name(path.name + ".part")
+
+    def download(url: str, output: Any, _: object) -> None:
+        _continue(url, part, progress)
+        os.replace(part, output)
+
+    pooch.get_logger().setLevel("WARNING")  # the progress bar says what happens
+    try:
+        pooch.retrieve(remote.url, f"sha256:{remote.sha256}", path.name, path.parent, downloader=download)
+    except requests.exceptions.RequestException as error:
+        raise DownloadError(f"{path.name}: {_reason(error, remote)}; {_advice(path)}") from error
+    except ValueError as error:
+        problem = f"what {remote.url} sent has not the sha256 {remote.sha256}"
+        raise DownloadError(f"{path.name}: {problem}; it was thrown away: try again, or {_advice(path)}") from error
+    except OSError as error:
+        problem = f"cannot be written to {path.parent} ({error.strerror or error})"
+        raise DownloadError(f"{path.name}: {problem}; {remote.size_bytes} bytes are needed") from error
+    return path
+
+
+def _continue(url: str, part: Path, progress: bool) -> None:
+    """Bring ``part`` to its full length; after a cut, some tries go on from where it ended."""
+    for left in reversed(range(TRIES)):
+        try:
+            _request(url, part, progress)
+            return
+        except (requests.exceptions.ConnectionError, requests.exceptions.ChunkedEncodingError):
+            if left == 0 or not part.exists():
+                raise
+
+
+def _request(url: str, part: Path, progress: bool) -> None:
+    have = part.stat().st_size if part.exists() else 0
+    headers = {"Range": f"bytes={have}-", "Accept-Encoding": "identity"} if have else {"Accept-Encoding": "identity"}
+    with requests.get(url, headers=headers, stream=True, timeout=TIMEOUT_S) as response:
+        if have and response.status_code == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+            return  # nothing is missing; the checksum decides
+        response.raise_for_status()
+        goes_on = response.status_code == HTTPStatus.PARTIAL_CONTENT
+        total = int(response.headers.get("Content-Length", 0)) + (have if goes_on else 0)
+        with (
+            part.open("ab" if goes_on else "wb") as file,
+            tqdm(
+                total=total or None,
+                initial=have if goes_on else 0,
+                unit="B",
+                unit_scale=True,
+                desc=part.stem,
+                disable=not progress,
+            ) as bar,
+        ):
+            for chunk in response.iter_content(CHUNK_BYTES):
+                file.write(chunk)
+                bar.update(len(chunk))
+
+
+def _reason(error: requests.exceptions.RequestException, remote: RemoteFile) -> str:
+    if error.response is not None:
+        return f"{remote.url} answered {error.response.status_code} {error.response.reason}"
+    if isinstance(error, requests.exceptions.ChunkedEncodingError):
+        return f"the connection to {remote.url} was cut; the same command goes on from there"
+    return f"{remote.url} cannot be reached (are you offline?)"
+
+
+def _advice(path: Path) -> str:
+    return f"a copy from elsewhere can be put at {path}"

@@ -1,0 +1,219 @@
+"""Floor plans on a coarse grid: a footprint with cut corners, in which rooms grow under area shares.
+
+Source: Lopes et al., *A Constrained Growth Method for Procedural Floor Plan Generation*, GAME-ON 2010, as in ProcTHOR
+(Deitke et al. 2022, appendix B): rooms grow as rectangles, then by L-shapes, then fill what is left. Several plans are
+drawn and the best is taken; if none is sound, the footprint is cut into strips, which always works.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+
+import networkx as nx
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from mrtask.homes.home import Point, Polygon
+
+CELL_M = (1.6, 2.2)
+"""ProcTHOR's range for the side of a grid cell."""
+PLANS_DRAWN = 6
+CORNER_CUTS = 8
+COARSE_BELOW_CELLS = 15
+FOOTPRINT_FILL = {"coarse": (0.6, 1.05), "fine": (0.76, 1.08)}
+"""Share of its bounding box that a footprint covers (over 1: all of it); less on grids of few cells."""
+COMPACTNESS = 0.5
+"""Weight of a room's missing corners against the error of its area."""
+MAX_ASPECT = {"coarse": 1.7, "fine": 1.35}
+OUTSIDE, EMPTY = -2, -1
+COORDINATE_DECIMALS = 3
+
+Grid = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A straight wall between two rooms, or a room and the outside (``rooms[1] == OUTSIDE``)."""
+
+    rooms: tuple[int, int]
+    start: Point
+    end: Point
+
+    @property
+    def length_m(self) -> float:
+        """Metres from start to end."""
+        return math.dist(self.start, self.end)
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """Room outlines in metres, in the order of the shares asked for; neighbours share their walls exactly."""
+
+    rooms: tuple[Polygon, ...]
+    walls: tuple[Wall, ...]
+
+
+def make_floor_plan(shares: Sequence[float], area_m2: float, rng: np.random.Generator) -> FloorPlan:
+    """Divide a footprint of ``area_m2`` among rooms by their shares of the area (any positive numbers)."""
+    weights = np.array(shares, dtype=np.float64)
+    weights /= weights.sum()
+    best: tuple[float, Grid] | None = None
+    for _ in range(PLANS_DRAWN):
+        grid = _grow(_footprint(len(weights), area_m2, rng), weights, rng)
+        if (fault := _fault(grid, weights)) is not None and (best is None or fault < best[0]):
+            best = (fault, grid)
+    grid = best[1] if best is not None else _strips(weights)
+    side_m = math.sqrt(area_m2 / int((grid >= 0).sum()))
+    rooms = tuple(_outline(grid, room, side_m) for room in range(len(weights)))
+    return FloorPlan(rooms, tuple(_walls(grid, side_m)))
+
+
+def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
+    """A grid of `EMPTY` cells, `OUTSIDE` where rectangles were cut from its corners."""
+    wanted = max(round(area_m2 / rng.uniform(*CELL_M) ** 2), 2 * rooms)
+    grain = "coarse" if wanted < COARSE_BELOW_CELLS else "fine"
+    boxed = wanted / min(rng.uniform(*FOOTPRINT_FILL[grain]), 1.0)
+    aspect = MAX_ASPECT[grain] ** rng.uniform(-1, 1)
+    height = max(round(math.sqrt(boxed * aspect)), 1)
+    width = max(math.ceil(boxed / height), 2)
+    grid = np.full((height, width), EMPTY, np.int64)
+    for _ in range(CORNER_CUTS):
+        spare = int((grid == EMPTY).sum()) - wanted
+        if spare <= 0:
+            break
+        rows = int(rng.integers(1, max(height // 2, 1) + 1))
+        cols = int(rng.integers(1, max(width // 2, 1) + 1))
+        if rows * cols > spare:
+            continue
+        cut = grid.copy()
+        row_side = slice(0, rows) if rng.random() < 0.5 else slice(height - rows, height)
+        col_side = slice(0, cols) if rng.random() < 0.5 else slice(width - cols, width)
+        cut[row_side, col_side] = OUTSIDE
+        if _is_simple(cut == EMPTY):
+            grid = cut
+    return grid
+
+
+def _grow(grid: Grid, weights: NDArray[np.float64], rng: np.random.Generator) -> Grid:
+    """Rooms take turns, the one furthest below its share first, until no cell is empty."""
+    grid = grid.copy()
+    target = weights * (grid == EMPTY).sum()
+    for room, (row, col) in enumerate(_seeds(grid, len(weights), rng)):
+        grid[row, col] = room
+    for may_exceed, whole_side in ((False, True), (False, False), (True, False)):
+        growing = list(range(len(weights)))
+        while growing:
+            sizes = np.array([(grid == room).sum() for room in growing])
+            pick = int(np.argmin(sizes / target[growing]))
+            room = growing[pick]
+            strip = _best_strip(grid, room, whole_side, rng)
+            if strip is None or (not may_exceed and sizes[pick] + len(strip[0]) > math.ceil(target[room])):
+                growing.pop(pick)
+            else:
+                grid[strip] = room
+    return grid
+
+
+def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """One cell for each room to grow from."""
+    cells = np.argwhere(grid == EMPTY)
+    return [(int(row), int(col)) for row, col in cells[rng.permutation(len(cells))[:count]]]
+
+
+def _best_strip(
+    grid: Grid, room: int, whole_side: bool, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """The longest run of empty cells along one side of the room: of the whole side, or (L-shapes) of a part of it."""
+    mine = grid == room
+    options: list[tuple[float, tuple[NDArray[np.int64], NDArray[np.int64]]]] = []
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        edge = np.zeros_like(mine)
+        if axis == 0:
+            edge[max(step, 0) : len(mine) + min(step, 0)] = mine[max(-step, 0) : len(mine) + min(-step, 0)]
+        else:
+            edge[:, max(step, 0) : mine.shape[1] + min(step, 0)] = mine[
+                :, max(-step, 0) : mine.shape[1] + min(-step, 0)
+            ]
+        edge &= ~mine
+        lines = edge if axis == 0 else edge.T
+        empty = (grid == EMPTY) if axis == 0 else (grid == EMPTY).T
+        own_length = int(mine.any(axis=0 if axis == 0 else 1).sum())
+        for line in np.flatnonzero(lines.any(axis=1)):
+            for run in _runs(lines[line] & empty[line]):
+                if whole_side and len(run) != own_length:
+                    continue
+                fixed = np.full(len(run), line)
+                options.append((len(run) + 0.5 * rng.random(), (fixed, run) if axis == 0 else (run, fixed)))
+    return max(options, key=lambda option: option[0])[1] if options else None
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+    places = np.flatnonzero(flags)
+    return [] if len(places) == 0 else np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+
+
+def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
+    """How far the plan is from the shares and from compact rooms; None when a room is no simple, joined polygon."""
+    if (grid == EMPTY).any():
+        return None
+    total = (grid >= 0).sum()
+    fault = 0.0
+    for room, weight in enumerate(weights):
+        mine = grid == room
+        if not _is_simple(mine):
+            return None
+        box = np.argwhere(mine)
+        boxed = np.prod(box.max(axis=0) - box.min(axis=0) + 1)
+        fault += abs(mine.sum() / total - weight) / weight + COMPACTNESS * (1 - mine.sum() / boxed)
+    graph = nx.Graph(neighbours(grid))
+    return fault if len(weights) == 1 or (len(graph) == len(weights) and nx.is_connected(graph)) else None
+
+
+def neighbours(grid: Grid) -> list[tuple[int, int]]:
+    """Pairs of rooms that share a wall."""
+    pairs = [(grid[:-1], grid[1:]), (grid[:, :-1], grid[:, 1:])]
+    flat = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
+    flat = flat[(flat >= 0).all(axis=1) & (flat[:, 0] != flat[:, 1])]
+    return [(int(a), int(b)) for a, b in np.unique(np.sort(flat, axis=1), axis=0)]
+
+
+def _is_simple(mask: NDArray[np.bool_]) -> bool:
+    """Whether the cells form one polygon without holes or points where it touches itself."""
+    around = np.pad(mask, 1)
+    nw, ne, sw, se = around[:-1, :-1], around[:-1, 1:], around[1:, :-1], around[1:, 1:]
+    touches = ((nw & se & ~ne & ~sw) | (ne & sw & ~nw & ~se)).any()
+    return not touches and ndimage.label(around)[1] == 1 and ndimage.label(~around)[1] == 1
+
+
+def _outline(grid: Grid, room: int, side_m: float) -> Polygon:
+    """The room's corners, clockwise seen with x to the right and y up, as in ProcTHOR."""
+    rows, cols = np.nonzero(grid == room)
+    shape = shapely.normalize(shapely.union_all(shapely.box(cols, rows, cols + 1, rows + 1)).simplify(0))
+    return tuple(_point(x, y, side_m) for x, y in shapely.get_coordinates(shape)[:-1])
+
+
+def _point(col: float, row: float, side_m: float) -> Point:
+    return (round(float(col) * side_m, COORDINATE_DECIMALS), round(float(row) * side_m, COORDINATE_DECIMALS))
+
+
+def _walls(grid: Grid, side_m: float) -> Iterator[Wall]:
+    """All walls, each as long as the same two sides meet in a straight line."""
+    for upright, cells in ((False, grid), (True, grid.T)):
+        padded = np.pad(np.where(cells == EMPTY, OUTSIDE, cells), 1, constant_values=OUTSIDE)
+        for line, (before, after) in enumerate(pairwise(padded[:, 1:-1])):
+            place = 0
+            for sides, run in groupby(zip(before.tolist(), after.tolist(), strict=True)):
+                start, place = place, place + len(list(run))
+                first, second = max(sides), min(sides)
+                if first != second:
+                    ends = [(line, at) if upright else (at, line) for at in (start, place)]
+                    yield Wall((first, second), *(_point(col, row, side_m) for col, row in ends))
+
+
+def _strips(weights: NDArray[np.float64]) -> Grid:
+    """Each room a strip across the footprint, as wide as its share."""
+    cells = np.maximum(np.round(weights * 4 * len(weights)).astype(int), 1)
+    return np.tile(np.repeat(np.arange(len(weights)), cells), (max(int(cells.sum()) // 2, 2), 1))

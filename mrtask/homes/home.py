@@ -1,0 +1,97 @@
+"""A home: rooms, doors, containers and the objects in them, in metres on the floor plane.
+
+Every home source (ProcTHOR files, the procedural generator, a lab's own map) ends in this type, and everything after
+it starts here. Coordinates are ``(x, y)`` in metres; a ProcTHOR house's ``z`` axis is our ``y``.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+from shapely.geometry import Polygon as ShapelyPolygon
+
+Point = tuple[float, float]
+Polygon = tuple[Point, ...]
+
+SIZE_CLASSES = ("small", "medium", "large")
+SMALL_BELOW_M2 = 60.0
+LARGE_ABOVE_M2 = 110.0
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room; ``type`` is ProcTHOR's (``Kitchen``, ``LivingRoom``, ``Bedroom``, ``Bathroom``), free elsewhere."""
+
+    id: str
+    type: str
+    polygon: Polygon
+
+
+@dataclass(frozen=True)
+class Door:
+    """An opening from ``start`` to ``end`` on the wall shared by two rooms; an outside door names one room twice."""
+
+    id: str
+    rooms: tuple[str, str]
+    start: Point
+    end: Point
+
+
+@dataclass(frozen=True)
+class Container:
+    """Floor-standing furniture that can hold small objects, with the distinct object types it holds, sorted."""
+
+    id: str
+    type: str
+    room_id: str
+    footprint: Polygon
+    objects: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Anything else on the floor that a robot cannot drive through."""
+
+    id: str
+    type: str
+    footprint: Polygon
+
+
+@dataclass(frozen=True)
+class Home:
+    """One home. ``source`` says where it came from (``generated``, a file's name, ...) and is no part of its id."""
+
+    source: str
+    rooms: tuple[Room, ...]
+    doors: tuple[Door, ...]
+    containers: tuple[Container, ...]
+    obstacles: tuple[Obstacle, ...]
+
+    @cached_property
+    def id(self) -> str:
+        """The content hash (16 hex digits): equal for homes with equal content, whatever their source."""
+        content = asdict(self)
+        del content["source"]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    @cached_property
+    def area_m2(self) -> float:
+        """The floor area of all rooms."""
+        return float(sum(ShapelyPolygon(room.polygon).area for room in self.rooms))
+
+    @property
+    def size_class(self) -> str:
+        """``small`` below 60 m2, ``large`` above 110 m2, else ``medium``."""
+        if self.area_m2 < SMALL_BELOW_M2:
+            return "small"
+        return "large" if self.area_m2 > LARGE_ABOVE_M2 else "medium"
+
+    @cached_property
+    def room_types(self) -> dict[str, str]:
+        """Room id -> room type."""
+        return {room.id: room.type for room in self.rooms}
+
+    def container_kinds(self) -> list[tuple[str, str]]:
+        """``(container type, room type)`` of each container, in the order of ``containers``."""
+        return [(container.type, self.room_types[container.room_id]) for container in self.containers]

@@ -1,0 +1,40 @@
+"""Divides homes into training, validation and test homes by content, so that no home is in two of them.
+
+Homes are ranked by a hash of their id, so the division depends on the set of homes alone: not on their order, their
+files or duplicates among them.
+"""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class HomeSplit:
+    """Disjoint home ids, each part sorted by id."""
+
+    train: tuple[str, ...]
+    validation: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+def split_homes(
+    home_ids: Iterable[str], train: int, validation: int, test: int | None = None, salt: str = ""
+) -> HomeSplit:
+    """Take so many homes for each part; ``test=None`` takes all the rest. Another ``salt`` gives another division.
+
+    Raises `ValueError` when there are fewer distinct homes than asked for.
+    """
+    if min(train, validation, test or 0) < 0:
+        raise ValueError(f"the parts cannot be negative: train={train}, validation={validation}, test={test}")
+    ranked = sorted(set(home_ids), key=lambda home_id: (hashlib.sha256(f"{salt}/{home_id}".encode()).digest(), home_id))
+    wanted = train + validation + (test or 0)
+    if wanted > len(ranked):
+        parts = f"train={train}, validation={validation}, test={'the rest' if test is None else test}"
+        raise ValueError(f"{wanted} homes are asked for ({parts}) but there are only {len(ranked)} distinct ones")
+    end = len(ranked) if test is None else wanted
+    return HomeSplit(
+        tuple(sorted(ranked[:train])),
+        tuple(sorted(ranked[train : train + validation])),
+        tuple(sorted(ranked[train + validation : end])),
+    )

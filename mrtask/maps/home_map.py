@@ -1,0 +1,232 @@
+"""What a robot knows of a home's geometry: free cells, where each container is reached, and how far everything is.
+
+Distances are kept as one field per container (the path length from every free cell), so that the way from *any* cell,
+such as where a robot is redirected in mid-path, is a look-up, and the path itself is the field's steepest descent.
+Legend for array shapes: C containers, H rows, W columns, L cells of a path.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from shapely.geometry import LineString
+from skimage.draw import polygon as cells_inside
+
+from mrtask.homes.home import Home, Point, Polygon
+from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields
+
+DEFAULT_RESOLUTION_M = 0.05
+DEFAULT_ROBOT_RADIUS_M = 0.2
+REACH_M = 1.0
+"""A container is reached from at most this far: a robot does not search a bed through a wall or across a room."""
+MAX_CELLS = 16_000_000
+CORNER_SEGMENTS = 8
+"""Segments per quarter circle where footprints and walls are inflated by the robot's radius."""
+DOOR_DEPTH_M = 0.05
+"""Doors are carved this far to both sides of the wall's line, against rounding in their positions."""
+NO_ROOM = -1
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HomeMap:
+    """The map of one home. Cell ``(row, col)`` spans y from ``origin_m[1] + row * resolution_m`` and x likewise."""
+
+    home_id: str
+    resolution_m: float
+    origin_m: Point
+    """The corner of cell ``(0, 0)``; rows run along y, columns along x."""
+    free: BoolArray
+    """[H, W] where the robot's centre may be: the main connected region only."""
+    access: NDArray[np.int32]
+    """[C, 2] row and column from which each container is reached; -1, -1 where none is."""
+    fields_m: NDArray[np.float32]
+    """[C, H, W] path length to each container's access cell; inf where not free or not reachable."""
+
+    @property
+    def reachable(self) -> BoolArray:
+        """[C] whether a robot can get to the container."""
+        return np.asarray(self.access[:, 0] >= 0)
+
+    @cached_property
+    def travel_m(self) -> FloatArray:
+        """[C, C] path lengths between containers: symmetric, 0 on the diagonal, inf for unreachable ones."""
+        count = len(self.access)
+        travel_m = np.full((count, count), np.inf)
+        known = np.flatnonzero(self.reachable)
+        rows, cols = self.access[known].T
+        travel_m[np.ix_(known, known)] = self.fields_m[known][:, rows, cols]
+        np.fill_diagonal(travel_m, 0.0)
+        return np.asarray(np.minimum(travel_m, travel_m.T))
+
+    def distances_m(self, cell: tuple[int, int]) -> FloatArray:
+        """[C] path lengths from a cell to all containers; inf where there is no way."""
+        column: FloatArray = self.fields_m[:, cell[0], cell[1]].astype(np.float64)
+        return column
+
+    def path(self, cell: tuple[int, int], container: int) -> NDArray[np.int32]:
+        """[L, 2] the cells of a shortest path to a container's access cell, both ends included."""
+        if not np.isfinite(self.fields_m[container, cell[0], cell[1]]):
+            raise ValueError(f"no way from cell {cell} to container {container}; check `reachable` and `free` first")
+        cells: NDArray[np.int32] = descend(self.fields_m[container], self.resolution_m, cell[0], cell[1])
+        return cells
+
+    def cell_center(self, cell: tuple[int, int]) -> Point:
+        """The middle of a cell in metres."""
+        x = self.origin_m[0] + (cell[1] + 0.5) * self.resolution_m
+        return (x, self.origin_m[1] + (cell[0] + 0.5) * self.resolution_m)
+
+    def cell_of(self, point: Point) -> tuple[int, int]:
+        """The cell around a point; it lies outside the grid where the point does."""
+        row = int(np.floor((point[1] - self.origin_m[1]) / self.resolution_m))
+        return (row, int(np.floor((point[0] - self.origin_m[0]) / self.resolution_m)))
+
+
+@dataclass(frozen=True)
+class _Grid:
+    resolution_m: float
+    origin_m: Point
+    shape: tuple[int, int]
+
+    def indices(self, points: NDArray[np.float64]) -> tuple[FloatArray, FloatArray]:
+        """Fractional row and column of ``[N, 2]`` points; whole numbers are cell centres."""
+        cols, rows = (points - np.array(self.origin_m)).T / self.resolution_m - 0.5
+        return rows, cols
+
+    def fill(self, target: NDArray[Any], outline: FloatArray, value: int) -> None:
+        """Set the cells whose centre is in the polygon."""
+        rows, cols = cells_inside(*self.indices(outline), shape=self.shape)  # type: ignore[no-untyped-call]
+        target[rows, cols] = value
+
+
+def build_map(
+    home: Home, resolution_m: float = DEFAULT_RESOLUTION_M, robot_radius_m: float = DEFAULT_ROBOT_RADIUS_M
+) -> HomeMap:
+    """Rasterise a home for a round robot and compute all distance fields.
+
+    A cell is free when its centre is in a room and at least the radius away from walls and furniture; diagonal steps
+    may pass between two blocked cells, which the inflation already accounts for.
+    """
+    if not resolution_m > 0 or not robot_radius_m >= 0:
+        raise ValueError(
+            f"resolution_m > 0 and robot_radius_m >= 0 are needed, not {resolution_m} and {robot_radius_m}"
+        )
+    grid, room_of, open_cells = _rasterise(home, resolution_m, robot_radius_m)
+    free = main_region(open_cells)
+    room_numbers = {room.id: number for number, room in enumerate(home.rooms)}
+    access = np.full((len(home.containers), 2), -1, np.int32)
+    for index, container in enumerate(home.containers):
+        own_room = room_numbers.get(container.room_id, NO_ROOM)
+        access[index] = _access_cell(grid, free, room_of, container.footprint, own_room)
+    fields_m = distance_fields(free, access, resolution_m)
+    return HomeMap(home.id, resolution_m, grid.origin_m, free, access, fields_m)
+
+
+def main_region_share(home: Home, resolution_m: float, robot_radius_m: float) -> float:
+    """The part of the cells where a robot fits that belongs to the main region; 0 where it fits nowhere."""
+    _, _, open_cells = _rasterise(home, resolution_m, robot_radius_m)
+    return float(main_region(open_cells).sum() / max(open_cells.sum(), 1))
+
+
+def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[_Grid, NDArray[np.int16], BoolArray]:
+    """The grid, each cell's room and whether the robot's centre may be there, in any region."""
+    grid = _make_grid(home, resolution_m)
+    room_of = np.full(grid.shape, NO_ROOM, np.int16)
+    for number, room in enumerate(home.rooms):
+        grid.fill(room_of, np.array(room.polygon), number)
+    open_cells = room_of != NO_ROOM
+    for outline in _inflated_obstacles(home, robot_radius_m):
+        grid.fill(open_cells, outline, False)
+    return grid, room_of, open_cells
+
+
+def main_region(open_cells: BoolArray) -> BoolArray:
+    """[H, W] the largest 8-connected region; of equal ones, the first in row order."""
+    labels, count = ndimage.label(open_cells, structure=np.ones((3, 3)))
+    if count <= 1:
+        return open_cells
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.asarray(labels == int(np.argmax(sizes)))
+
+
+def _make_grid(home: Home, resolution_m: float) -> _Grid:
+    points = np.array([point for room in home.rooms for point in room.polygon])
+    low, high = points.min(axis=0), points.max(axis=0)
+    cols, rows = (np.ceil((high - low) / resolution_m).astype(int) + 2).tolist()
+    if rows * cols > MAX_CELLS:
+        problem = f"a grid of {rows} x {cols} cells is more than {MAX_CELLS} cells"
+        raise ValueError(f"home {home.id}: {problem}; choose a coarser resolution_m")
+    return _Grid(resolution_m, (float(low[0] - resolution_m), float(low[1] - resolution_m)), (rows, cols))
+
+
+def _inflated_obstacles(home: Home, radius_m: float) -> list[NDArray[np.float64]]:
+    """Outlines of footprints and walls, grown by the robot's radius."""
+    footprints = [*(c.footprint for c in home.containers), *(o.footprint for o in home.obstacles)]
+    solid = np.array([shapely.Polygon(footprint) for footprint in footprints] + _walls(home), dtype=object)
+    if radius_m > 0:
+        solid = shapely.buffer(solid, radius_m, quad_segs=CORNER_SEGMENTS)
+    return [shapely.get_coordinates(shape) for shape in solid if not shape.is_empty]
+
+
+def _walls(home: Home) -> list[LineString]:
+    """The straight stretches of the rooms' outlines without the openings between rooms; outside doors stay shut."""
+    openings = [
+        LineString([door.start, door.end]).buffer(DOOR_DEPTH_M, cap_style="flat")
+        for door in home.doors
+        if door.rooms[0] != door.rooms[1]
+    ]
+    sides = [
+        LineString([start, end])
+        for room in home.rooms
+        for start, end in zip(room.polygon, (*room.polygon[1:], room.polygon[0]), strict=True)
+        if start != end
+    ]
+    left = shapely.difference(np.array(sides, dtype=object), shapely.union_all(openings))
+    return [part for part in shapely.get_parts(left) if part.length > 0]
+
+
+def _access_cell(
+    grid: _Grid, free: BoolArray, room_of: NDArray[np.int16], footprint: Polygon, own_room: int
+) -> tuple[int, int]:
+    """The free cell nearest to the footprint, in its own room where it has one within reach; else (-1, -1)."""
+    corners = np.array(footprint)
+    rows, cols = grid.indices(corners)
+    margin = REACH_M / grid.resolution_m
+    top, bottom = max(int(rows.min() - margin), 0), min(int(rows.max() + margin) + 2, grid.shape[0])
+    left, right = max(int(cols.min() - margin), 0), min(int(cols.max() + margin) + 2, grid.shape[1])
+    window = free[top:bottom, left:right]
+    in_own_room = window & (room_of[top:bottom, left:right] == own_room)
+    for candidates in (in_own_room, window) if own_room != NO_ROOM else (window,):
+        near_rows, near_cols = np.nonzero(candidates)
+        if near_rows.size == 0:
+            continue
+        distance = _distance_to_outline(near_rows + top, near_cols + left, rows, cols)
+        # Of equally near cells, the one before the middle of the footprint.
+        off_middle = np.hypot(near_rows + top - rows.mean(), near_cols + left - cols.mean())
+        best = int(np.argmin(np.where(distance <= distance.min() + TIE_CELLS, off_middle, np.inf)))
+        if distance[best] * grid.resolution_m <= REACH_M:
+            return int(near_rows[best] + top), int(near_cols[best] + left)
+    return -1, -1
+
+
+def _distance_to_outline(
+    rows: NDArray[np.int64], cols: NDArray[np.int64], outline_rows: FloatArray, outline_cols: FloatArray
+) -> FloatArray:
+    """Distance in cells from each cell to the polygon's outline (free cells are never inside a footprint)."""
+    best = np.full(rows.shape, np.inf)
+    for start_row, start_col, end_row, end_col in zip(
+        outline_rows, outline_cols, np.roll(outline_rows, -1), np.roll(outline_cols, -1), strict=True
+    ):
+        d_row, d_col = end_row - start_row, end_col - start_col
+        length_squared = max(d_row * d_row + d_col * d_col, np.finfo(float).tiny)
+        along = np.clip(((rows - start_row) * d_row + (cols - start_col) * d_col) / length_squared, 0.0, 1.0)
+        gap = (rows - start_row - along * d_row) ** 2 + (cols - start_col - along * d_col) ** 2
+        np.minimum(best, gap, out=best)
+    return np.asarray(np.sqrt(best))
