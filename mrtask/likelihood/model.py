@@ -1,0 +1,137 @@
+"""The seam between likelihood models and their users: names in, probabilities out; and how a model is stored.
+
+A stored model is a folder with ``model.json`` (its ``kind``, options and the sha256 of every other file) and plain data
+files (safetensors, CSV). Nothing in it is code, so loading one runs none.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mrtask.likelihood.rows import TRIPLE
+
+FORMAT_VERSION = 1
+DESCRIPTION_FILE = "model.json"
+COUNTS_FILE = "counts.csv"
+PROB_FLOOR = 1e-6
+"""No model is ever surer than this, so that log loss and a belief's normalisation stay finite."""
+
+
+class LikelihoodModel(Protocol):
+    """``P(object is in the container)`` from the names of object type, container type and room type."""
+
+    @property
+    def kind(self) -> str:
+        """What ``load_model`` dispatches on."""
+        ...
+
+    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+        """Probabilities ``[N]`` in (0, 1) for a frame with the columns ``object``, ``container``, ``room``."""
+        ...
+
+    def save(self, folder: Path) -> None:
+        """Write the model to a new or empty folder."""
+        ...
+
+
+class ModelError(ValueError):
+    """A stored model that is missing, damaged or of another format."""
+
+
+def check_names(names: pd.DataFrame) -> None:
+    """Raise ``ValueError`` unless the frame has the three columns of strings."""
+    missing = [column for column in TRIPLE if column not in names.columns]
+    if missing:
+        raise ValueError(f"columns {missing} are missing; a likelihood model needs {TRIPLE}, got {list(names.columns)}")
+    for column in TRIPLE:
+        wrong = [value for value in names[column] if not isinstance(value, str)]
+        if wrong:
+            raise ValueError(f"column {column!r} must hold strings, got {wrong[0]!r}")
+
+
+def clip_probs(probs: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """The probabilities as float64 within ``PROB_FLOOR`` of 0 and 1."""
+    return np.clip(probs.astype(np.float64), PROB_FLOOR, 1.0 - PROB_FLOOR)
+
+
+def write_description(folder: Path, kind: str, content: Mapping[str, object]) -> None:
+    """Write ``model.json`` last, with the hash of every file that the folder holds already."""
+    files = {path.relative_to(folder).as_posix(): _sha256(path) for path in sorted(folder.rglob("*")) if path.is_file()}
+    text = json.dumps({"format_version": FORMAT_VERSION, "kind": kind, "files": files, **content}, indent=1)
+    temporary = folder / f".{DESCRIPTION_FILE}.{os.getpid()}"
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, folder / DESCRIPTION_FILE)
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """``model.json`` of a folder, once format and every file's hash are found right."""
+    path = folder / DESCRIPTION_FILE
+    if not path.is_file():
+        raise ModelError(f"no likelihood model in {folder}: {DESCRIPTION_FILE} is missing; train one first")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        version, files = content["format_version"], dict(content["files"])
+        str(content["kind"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ModelError(
+            f"{path} is damaged ({error}); train the model again or roll back to another version"
+        ) from error
+    if version != FORMAT_VERSION:
+        raise ModelError(f"{path}: format version {version}, this code reads {FORMAT_VERSION}; train the model again")
+    for name, expected in files.items():
+        if not (folder / name).is_file() or _sha256(folder / name) != expected:
+            raise ModelError(
+                f"{folder / name} is missing or damaged (not the sha256 that {DESCRIPTION_FILE} names); "
+                "train the model again or roll back to another version"
+            )
+    return dict(content)
+
+
+def write_triples(triples: pd.DataFrame, folder: Path) -> None:
+    """Keep training counts as ``counts.csv``."""
+    triples[[*TRIPLE, "positives", "count"]].to_csv(folder / COUNTS_FILE, index=False)
+
+
+def read_triples(folder: Path) -> pd.DataFrame:
+    """The training counts of a folder, names as they were (``NA`` and the like are names)."""
+    triples = pd.read_csv(folder / COUNTS_FILE, keep_default_na=False, dtype=dict.fromkeys(TRIPLE, "str"))
+    if list(triples.columns) != [*TRIPLE, "positives", "count"]:
+        raise ModelError(f"{folder / COUNTS_FILE} has the columns {list(triples.columns)}; train the model again")
+    return triples
+
+
+def load_model(folder: Path, cache_dir: Path | None = None) -> LikelihoodModel:
+    """The model stored in a folder, of whatever kind; ``cache_dir`` keeps the embeddings of names (``embed_names``)."""
+    description = read_description(folder)
+    # Each kind is imported when it is needed: the networks' torch takes seconds.
+    match description["kind"]:
+        case "frequency":
+            from mrtask.likelihood.frequency import FrequencyModel
+
+            return FrequencyModel.load(folder, description)
+        case "similarity":
+            from mrtask.likelihood.similarity import SimilarityModel
+
+            return SimilarityModel.load(folder, description, cache_dir)
+        case "logistic":
+            from mrtask.likelihood.logistic import LogisticModel
+
+            return LogisticModel.load(folder, description, cache_dir)
+        case "paper_fcnn" | "mlp":
+            from mrtask.likelihood.network import NetworkModel
+
+            return NetworkModel.load(folder, description, cache_dir)
+        case kind:
+            raise ModelError(f"{folder}: unknown kind of model {kind!r}: update mrtask, or train the model again")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

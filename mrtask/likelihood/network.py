@@ -1,0 +1,343 @@
+"""The likelihood network: the paper's (section IV), and smaller ones of the same build.
+
+Embeddings and kind tags in (``features.encode_triples``), fully connected layers each with batch norm and leaky ReLU,
+one sigmoid out. It is trained on distinct triples weighted by their counts, whose expected loss is that of the single
+rows. The output starts at the training rows' log odds and the learning rate rises and falls once (Smith & Topin 2017,
+"1cycle"): without these the deep narrow network needs many times the epochs.
+"""
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from mrtask.likelihood.embeddings import BUNDLED
+from mrtask.likelihood.features import encode_triples
+from mrtask.likelihood.model import ModelError, check_names, clip_probs, write_description
+
+PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
+WARM_UP = 0.2
+WEIGHTS_FILE = "weights.safetensors"
+DEVICES = ("auto", "cpu", "cuda", "mps")
+
+EpochMetrics = dict[str, float]
+EpochCallback = Callable[[int, EpochMetrics], None]
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """How a network is built and trained.
+
+    ``learning_rate`` is the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's number.
+    """
+
+    layers: tuple[int, ...] = PAPER_LAYERS
+    learning_rate: float = 1e-2
+    weight_decay: float = 1e-2
+    dropout: float = 0.0
+    batch_size: int = 256
+    max_epochs: int = 80
+    patience: int = 20
+    seed: int = 0
+    device: str = "auto"
+    threads: int = 2
+    checkpoint_every: int = 5
+
+    def __post_init__(self) -> None:
+        if not self.layers or min(self.layers) < 1:
+            raise ValueError(f"layers must be one or more positive widths, got {self.layers}")
+        if self.device not in DEVICES:
+            raise ValueError(f"unknown device {self.device!r}; allowed: {', '.join(DEVICES)}")
+        for name in ("batch_size", "max_epochs", "patience", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.batch_size < 2:
+            raise ValueError("batch_size must be at least 2: batch norm needs more than one row")
+        if self.learning_rate <= 0 or self.weight_decay < 0 or not 0 <= self.dropout < 1 or self.threads < 0:
+            raise ValueError(f"learning_rate > 0, weight_decay >= 0, 0 <= dropout < 1, threads >= 0 needed, got {self}")
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkModel:
+    """A trained network with the name of the embedding that it was trained on."""
+
+    kind: str
+    module: nn.Sequential
+    layers: tuple[int, ...]
+    embedding: str = BUNDLED
+    cache_dir: Path | None = None
+
+    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        check_names(names)
+        if not len(names):
+            return np.zeros(0)
+        return predict_features(self.module, encode_triples(names, self.embedding, self.cache_dir))
+
+    def save(self, folder: Path) -> None:
+        """Write weights and description."""
+        folder.mkdir(parents=True, exist_ok=True)
+        save_file(self.module.state_dict(), folder / WEIGHTS_FILE)
+        content = {"embedding": self.embedding, "layers": self.layers, "input_size": self.module[0].in_features}
+        write_description(folder, self.kind, content)
+
+    @classmethod
+    def load(cls, folder: Path, description: Mapping[str, Any], cache_dir: Path | None = None) -> "NetworkModel":
+        """The model of a folder whose ``model.json`` has been read."""
+        try:
+            layers = tuple(int(width) for width in description["layers"])
+            module = build_module(int(description["input_size"]), layers, seed=0)
+            module.load_state_dict(load_file(folder / WEIGHTS_FILE))
+        except (KeyError, RuntimeError, SafetensorError) as error:
+            raise ModelError(f"{folder} holds no usable network ({error}); train the model again") from error
+        return cls(str(description["kind"]), module.eval(), layers, str(description["embedding"]), cache_dir)
+
+
+def build_module(input_size: int, layers: tuple[int, ...], seed: int, dropout: float = 0.0) -> nn.Sequential:
+    """Linear, batch norm, leaky ReLU per width in ``layers``, then one linear output (the logit); drawn by seed."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        parts: list[nn.Module] = []
+        width = input_size
+        for size in layers:
+            parts += [nn.Linear(width, size), nn.BatchNorm1d(size), nn.LeakyReLU()]
+            if dropout:
+                parts.append(nn.Dropout(dropout))
+            width = size
+        return nn.Sequential(*parts, nn.Linear(width, 1))
+
+
+def output_layer(module: nn.Sequential) -> nn.Linear:
+    """The last layer, whose output is the logit."""
+    last = module[-1]
+    assert isinstance(last, nn.Linear)
+    return last
+
+
+def predict_features(module: nn.Module, features: NDArray[np.float32], batch_size: int = 4096) -> NDArray[np.float64]:
+    """Sigmoid of the network's output, ``[N]``, for features ``[N, F]``; the network is put in evaluation mode."""
+    device = next(module.parameters()).device
+    module.eval()
+    with torch.inference_mode():
+        parts = [
+            torch.sigmoid(module(torch.from_numpy(features[start : start + batch_size]).to(device)).double()).squeeze(1)
+            for start in range(0, len(features), batch_size)
+        ]
+    return clip_probs(torch.cat(parts).cpu().numpy())
+
+
+def weighted_loss(logits: Tensor, positives: Tensor, count: Tensor) -> Tensor:
+    """The summed binary cross-entropy of all rows behind N triples, each with ``positives`` ones and the rest zeros."""
+    negatives = count - positives
+    return (positives * functional.softplus(-logits) + negatives * functional.softplus(logits)).sum()
+
+
+def train_network(
+    features: NDArray[np.float32],
+    triples: pd.DataFrame,
+    validation_features: NDArray[np.float32],
+    validation: pd.DataFrame,
+    options: NetworkOptions,
+    on_epoch: EpochCallback | None = None,
+    checkpoint_dir: Path | None = None,
+) -> tuple[nn.Sequential, list[EpochMetrics]]:
+    """Train until the validation log loss has not improved for ``patience`` epochs; returns the best epoch's network.
+
+    ``features [N, F]`` belong to ``triples`` (columns ``positives``, ``count``). Without validation triples it trains
+    for ``max_epochs`` and returns the last. The history has one entry per epoch: ``epoch, train_loss, validation_loss,
+    best_validation_loss``. With ``checkpoint_dir`` an interrupted training goes on where it was and ends the same.
+    """
+    if len(features) < 2:
+        raise ValueError(f"a network needs at least 2 distinct training triples, got {len(features)}")
+    device = _device(options.device)
+    with _threads(options.threads):
+        run = _Run(features, triples, validation_features, validation, options, device)
+        path = None if checkpoint_dir is None else checkpoint_dir / f"{run.fingerprint[:16]}.safetensors"
+        if path is not None:
+            run.resume(path)
+        while run.unfinished():
+            entry = run.epoch()
+            if on_epoch is not None:
+                on_epoch(int(entry["epoch"]), entry)
+            if path is not None and len(run.history) % options.checkpoint_every == 0:
+                run.checkpoint(path)
+        if path is not None:
+            path.unlink(missing_ok=True)
+        run.module.load_state_dict(run.best)
+    return run.module.cpu().eval(), run.history
+
+
+class _Run:
+    """The state of one training, and its way to and from a checkpoint."""
+
+    def __init__(
+        self,
+        features: NDArray[np.float32],
+        triples: pd.DataFrame,
+        validation_features: NDArray[np.float32],
+        validation: pd.DataFrame,
+        options: NetworkOptions,
+        device: torch.device,
+    ) -> None:
+        self.options = options
+        self.inputs = torch.from_numpy(features).to(device)
+        self.positives, self.count = _weights(triples, device)
+        self.validation_inputs = torch.from_numpy(validation_features).to(device)
+        self.validation_positives, self.validation_count = _weights(validation, device)
+        self.module = build_module(features.shape[1], options.layers, options.seed, options.dropout).to(device)
+        share = (float(triples["positives"].sum()) + 0.5) / (float(triples["count"].sum()) + 1.0)
+        nn.init.constant_(output_layer(self.module).bias, math.log(share / (1.0 - share)))
+        self.optimizer = torch.optim.AdamW(
+            self.module.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
+        )
+        self.batches = math.ceil(len(features) / options.batch_size)
+        self.generator = torch.Generator().manual_seed(options.seed)
+        self.history: list[EpochMetrics] = []
+        self.best = {name: value.clone() for name, value in self.module.state_dict().items()}
+        self.fingerprint = _fingerprint(features, triples, validation, options)
+
+    def unfinished(self) -> bool:
+        if len(self.history) >= self.options.max_epochs:
+            return False
+        return not self.history or self._epochs_since_best() < self.options.patience
+
+    def _epochs_since_best(self) -> int:
+        if not len(self.validation_count):
+            return 0
+        losses = [entry["validation_loss"] for entry in self.history]
+        return len(losses) - 1 - int(np.argmin(losses))
+
+    def epoch(self) -> EpochMetrics:
+        self.module.train()
+        order = torch.randperm(len(self.inputs), generator=self.generator)
+        size = self.options.batch_size
+        rows_per_triple = self.count.mean()
+        total = 0.0
+        # The random state of dropout belongs to the epoch, so that a resumed training draws the same.
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed + len(self.history))
+            for number in range(self.batches):
+                batch = order[number * size : (number + 1) * size].to(self.inputs.device)
+                if len(batch) < 2:  # batch norm needs more than one row
+                    continue
+                self.optimizer.param_groups[0]["lr"] = self._learning_rate(len(self.history) * self.batches + number)
+                logits = self.module(self.inputs[batch]).squeeze(1)
+                loss = weighted_loss(logits, self.positives[batch], self.count[batch])
+                self.optimizer.zero_grad()
+                (loss / (len(batch) * rows_per_triple)).backward()  # type: ignore[no-untyped-call]
+                self.optimizer.step()
+                total += loss.item()
+        validation = self._loss(self.validation_inputs, self.validation_positives, self.validation_count)
+        entry: EpochMetrics = {
+            "epoch": float(len(self.history) + 1),
+            "train_loss": total / float(self.count.sum()),
+            "validation_loss": validation,
+        }
+        self.history.append(entry)
+        if self._epochs_since_best() == 0:
+            self.best = {name: value.clone() for name, value in self.module.state_dict().items()}
+        entry["best_validation_loss"] = min(past["validation_loss"] for past in self.history)
+        return entry
+
+    def _learning_rate(self, step: int) -> float:
+        position = (step + 1) / (self.options.max_epochs * self.batches)
+        if position < WARM_UP:
+            return self.options.learning_rate * position / WARM_UP
+        return self.options.learning_rate * 0.5 * (1.0 + math.cos(math.pi * (position - WARM_UP) / (1.0 - WARM_UP)))
+
+    def _loss(self, inputs: Tensor, positives: Tensor, count: Tensor) -> float:
+        if not len(count):
+            return float("nan")
+        self.module.eval()
+        with torch.inference_mode():
+            logits = self.module(inputs).squeeze(1).double()
+            return float(weighted_loss(logits, positives.double(), count.double()) / count.double().sum())
+
+    def checkpoint(self, path: Path) -> None:
+        tensors = {f"module.{name}": value for name, value in self.module.state_dict().items()}
+        tensors |= {f"best.{name}": value for name, value in self.best.items()}
+        for index, state in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{name}": value for name, value in state.items()}
+        tensors["generator"] = self.generator.get_state()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        metadata = {"fingerprint": self.fingerprint, "history": json.dumps(self.history)}
+        save_file({name: value.contiguous().cpu() for name, value in tensors.items()}, temporary, metadata)
+        os.replace(temporary, path)
+
+    def resume(self, path: Path) -> None:
+        """Take up the checkpoint if it is there, whole and of this very training; else start afresh."""
+        if not path.is_file():
+            return
+        try:
+            with safe_open(path, framework="pt") as file:
+                metadata = file.metadata() or {}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
+        except (OSError, SafetensorError):
+            return
+        if metadata.get("fingerprint") != self.fingerprint:
+            return
+        self.module.load_state_dict(_part(tensors, "module."))
+        self.best = {name: value.to(self.inputs.device) for name, value in _part(tensors, "best.").items()}
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, value in _part(tensors, "optimizer.").items():
+            index, key = name.split(".")
+            state.setdefault(int(index), {})[key] = value
+        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
+        self.generator.set_state(tensors["generator"])
+        self.history = json.loads(metadata["history"])
+
+
+def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _weights(triples: pd.DataFrame, device: torch.device) -> tuple[Tensor, Tensor]:
+    positives = torch.tensor(triples["positives"].to_numpy(dtype=np.float32), device=device)
+    return positives, torch.tensor(triples["count"].to_numpy(dtype=np.float32), device=device)
+
+
+def _fingerprint(
+    features: NDArray[np.float32], triples: pd.DataFrame, validation: pd.DataFrame, options: NetworkOptions
+) -> str:
+    digest = hashlib.sha256(json.dumps(asdict(replace(options, checkpoint_every=1)), sort_keys=True).encode())
+    digest.update(features.tobytes())
+    for frame in (triples, validation):
+        digest.update(frame[["positives", "count"]].to_numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        if torch.cuda.is_available():
+            return torch.device("cuda")
+        return torch.device("cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device 'cuda' asked for, but torch sees no GPU; use device=auto or cpu")
+    if name == "mps" and not torch.backends.mps.is_available():
+        raise ValueError("device 'mps' asked for, but torch sees none; use device=auto or cpu")
+    return torch.device(name)
+
+
+@contextlib.contextmanager
+def _threads(number: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(number or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

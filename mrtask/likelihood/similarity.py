@@ -1,0 +1,162 @@
+"""What is known of like names: counts where there are counts, and where there are none, those of similar names.
+
+A prior for any names, seen or not, is a logistic regression on four numbers: how often anything lies in this kind of
+container, how often objects of similar names do, and how similar the object's name is to the container's and to the
+room's. It is fitted with each training object's own counts left out, so it learns how far similarity can be trusted for
+an object never seen. The training counts then correct it where they exist: per object, per object and room, per object
+and container type (by the ratio of observed to expected finds, shrunk to 1), and per triple (mean of prior and
+frequency). With little data it is the prior, with much it becomes the frequency table.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import logit
+
+from mrtask.likelihood.embeddings import BUNDLED, embed_names
+from mrtask.likelihood.model import ModelError, check_names, clip_probs, read_triples, write_description, write_triples
+from mrtask.likelihood.rows import TRIPLE
+
+KIND = "similarity"
+OBJECT_TEMPERATURE = 0.05
+KIND_TEMPERATURE = 0.1
+PSEUDO_ROWS = 1.0
+BASE_SHARE = 0.02
+LEVELS = (["object"], ["object", "room"], ["object", "container"])
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SimilarityModel:
+    """Training triples, the prior's ``weights [5]`` (four features and a constant) and how firmly it is held.
+
+    ``strength``: how many rows the prior is worth for a triple, and how many expected finds for a coarser group.
+    """
+
+    triples: pd.DataFrame
+    weights: Floats
+    strength: float = 5.0
+    embedding: str = BUNDLED
+    cache_dir: Path | None = None
+
+    @property
+    def kind(self) -> str:
+        """``similarity``."""
+        return KIND
+
+    def predict(self, names: pd.DataFrame) -> Floats:
+        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        check_names(names)
+        if not len(names):
+            return np.zeros(0)
+        names = names[TRIPLE].reset_index(drop=True)
+        odds = np.exp(self._known.features(names) @ self.weights[:-1] + self.weights[-1])
+        for level, ratio in zip(LEVELS, self._ratios, strict=True):
+            odds *= _look_up(names, level, ratio, 1.0)
+        prior = odds / (1.0 + odds)
+        counts = self.triples.set_index(TRIPLE)
+        positives, count = (_look_up(names, TRIPLE, counts[column], 0.0) for column in ("positives", "count"))
+        return clip_probs((positives + self.strength * prior) / (count + self.strength))
+
+    def save(self, folder: Path) -> None:
+        """Write counts and description."""
+        folder.mkdir(parents=True, exist_ok=True)
+        write_triples(self.triples, folder)
+        content = {"embedding": self.embedding, "strength": self.strength, "weights": self.weights.tolist()}
+        write_description(folder, KIND, content)
+
+    @classmethod
+    def load(cls, folder: Path, description: Mapping[str, Any], cache_dir: Path | None = None) -> "SimilarityModel":
+        """The model of a folder whose ``model.json`` has been read."""
+        weights = np.array(description["weights"], dtype=np.float64)
+        if weights.shape != (5,):
+            raise ModelError(f"{folder}: expected 5 weights, found shape {weights.shape}; train the model again")
+        return cls(
+            read_triples(folder), weights, float(description["strength"]), str(description["embedding"]), cache_dir
+        )
+
+    @cached_property
+    def _known(self) -> "_Known":
+        return _Known(self.triples, self.embedding, self.cache_dir)
+
+    @cached_property
+    def _ratios(self) -> list[pd.Series]:
+        """Observed to expected finds of each group, per level; each level's expectation includes the levels before."""
+        odds = np.exp(self._known.features(self.triples) @ self.weights[:-1] + self.weights[-1])
+        ratios = []
+        for level in LEVELS:
+            expected = odds / (1.0 + odds) * self.triples["count"].to_numpy()
+            finds = self.triples.assign(expected=expected).groupby(level)[["positives", "expected"]].sum()
+            ratio = (finds["positives"] + self.strength) / (finds["expected"] + self.strength)
+            odds *= _look_up(self.triples, level, ratio, 1.0)
+            ratios.append(ratio)
+        return ratios
+
+
+def train_similarity(
+    triples: pd.DataFrame, strength: float = 5.0, embedding: str = BUNDLED, cache_dir: Path | None = None
+) -> SimilarityModel:
+    """Fit the prior by weighted maximum likelihood, each training object predicted from the others."""
+    from sklearn.linear_model import LogisticRegression
+
+    triples = triples[[*TRIPLE, "positives", "count"]].reset_index(drop=True)
+    features = _Known(triples, embedding, cache_dir).features(triples)
+    positives, count = triples["positives"].to_numpy(), triples["count"].to_numpy()
+    fitted = LogisticRegression(C=1e3, max_iter=2000)
+    label = np.repeat([1, 0], len(triples))
+    fitted.fit(np.tile(features, (2, 1)), label, sample_weight=np.concatenate([positives, count - positives]))
+    weights = np.append(fitted.coef_[0], fitted.intercept_[0])
+    return SimilarityModel(triples, weights, strength, embedding, cache_dir)
+
+
+class _Known:
+    """Training counts ``[O, K]`` of O objects and K kinds of containers, and the embeddings of their names."""
+
+    def __init__(self, triples: pd.DataFrame, embedding: str, cache_dir: Path | None) -> None:
+        self.embedding, self.cache_dir = embedding, cache_dir
+        kinds = triples[["container", "room"]].drop_duplicates().sort_values(["container", "room"])
+        row, objects = pd.factorize(triples["object"])
+        column = pd.MultiIndex.from_frame(kinds).get_indexer(pd.MultiIndex.from_frame(triples[["container", "room"]]))
+        self.positives, self.count = np.zeros((2, len(objects), len(kinds)))
+        self.positives[row, column] = triples["positives"]
+        self.count[row, column] = triples["count"]
+        self.objects = self._embed(objects)
+        self.containers, self.rooms = self._embed(kinds["container"]), self._embed(kinds["room"])
+
+    def features(self, names: pd.DataFrame) -> Floats:
+        """``[N, 4]``; a training object's own counts are left out of its features."""
+        row, objects = pd.factorize(names["object"])
+        kinds = names[["container", "room"]].drop_duplicates()
+        column = pd.MultiIndex.from_frame(kinds).get_indexer(pd.MultiIndex.from_frame(names[["container", "room"]]))
+        object_, container, room = (self._embed(part) for part in (objects, kinds["container"], kinds["room"]))
+
+        closeness = container @ self.containers.T + room @ self.rooms.T - 2.0
+        kind_weight = np.exp(closeness / KIND_TEMPERATURE)
+        # [O, M]: finds and rows of each training object in containers like each of the M asked for
+        finds, rows = self.positives @ kind_weight.T, self.count @ kind_weight.T
+        likeness = object_ @ self.objects.T
+        other = likeness < 1.0 - 1e-5
+        overall = self.positives.sum() / self.count.sum()
+        base = (other @ finds + PSEUDO_ROWS * overall) / (other @ rows + PSEUDO_ROWS)
+        weight = np.exp((likeness - 1.0) / OBJECT_TEMPERATURE) * other
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        alike = weight @ ((finds + PSEUDO_ROWS * overall) / (rows + PSEUDO_ROWS))
+        alike = (alike + BASE_SHARE * base) / (1.0 + BASE_SHARE)
+        columns = [logit(np.clip(grid, 1e-4, 1 - 1e-4))[row, column] for grid in (base, alike)]
+        columns += [(object_ @ part.T)[row, column] for part in (container, room)]
+        return np.stack(columns, axis=1)
+
+    def _embed(self, names: Any) -> Floats:
+        return embed_names(list(names), self.embedding, self.cache_dir).astype(np.float64)
+
+
+def _look_up(names: pd.DataFrame, level: list[str], values: "pd.Series[float]", default: float) -> Floats:
+    index = pd.MultiIndex.from_frame(names[level]) if len(level) > 1 else pd.Index(names[level[0]])
+    return np.asarray(values.reindex(index).fillna(default), dtype=np.float64)

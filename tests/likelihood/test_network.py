@@ -1,0 +1,200 @@
+"""The network: the paper's shape, the loss of counts against that of rows, determinism, checkpoints, early stopping."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from torch import nn
+
+from mrtask.likelihood.network import (
+    PAPER_LAYERS,
+    NetworkModel,
+    NetworkOptions,
+    build_module,
+    predict_features,
+    train_network,
+    weighted_loss,
+)
+
+SMALL = NetworkOptions(layers=(16, 8), max_epochs=12, patience=12, batch_size=16, device="cpu", threads=1)
+
+
+class Interrupted(Exception):
+    """Stands for the end of a process."""
+
+
+@pytest.fixture
+def problem():
+    """Features of 60 triples whose probability is a logistic function of them, with counts; two halves."""
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(120, 6)).astype(np.float32)
+    probs = 1 / (1 + np.exp(-features @ np.array([2.0, -1.0, 0.5, 0, 0, 0]) + 1))
+    count = rng.integers(1, 200, 120)
+    triples = pd.DataFrame({"positives": rng.binomial(count, probs), "count": count})
+    return features[:80], triples[:80], features[80:], triples[80:]
+
+
+def weights_of(module):
+    return {name: value.clone() for name, value in module.state_dict().items()}
+
+
+def same(first, second):
+    return all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_shape_is_the_papers():
+    module = build_module(3 * (384 + 4), PAPER_LAYERS, seed=0)
+    linear = [layer for layer in module if isinstance(layer, nn.Linear)]
+    assert [layer.out_features for layer in linear] == [2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4, 1]
+    assert linear[0].in_features == 1164
+    assert sum(isinstance(layer, nn.BatchNorm1d) for layer in module) == 10
+    assert sum(isinstance(layer, nn.LeakyReLU) for layer in module) == 10
+    assert [layer.num_features for layer in module if isinstance(layer, nn.BatchNorm1d)] == list(PAPER_LAYERS)
+
+
+def test_loss_and_gradient_of_counts_equal_those_of_single_rows(problem):
+    """In evaluation mode; in training, batch norm sees each triple once instead of each row."""
+    features, triples, _, _ = problem
+    module = build_module(6, (16, 8), seed=0).eval()
+    inputs = torch.from_numpy(features)
+    positives, count = (torch.tensor(triples[name].to_numpy(), dtype=torch.float32) for name in ("positives", "count"))
+    label = torch.cat([torch.tensor([1.0] * p + [0.0] * (n - p)) for p, n in triples.to_numpy()])
+    row = torch.repeat_interleave(torch.arange(len(inputs)), count.long())
+
+    by_count = weighted_loss(module(inputs).squeeze(1), positives, count) / count.sum()
+    by_row = nn.BCEWithLogitsLoss()(module(inputs[row]).squeeze(1), label)
+    assert by_count.item() == pytest.approx(by_row.item(), rel=1e-5)
+    gradients = [torch.autograd.grad(loss, list(module.parameters())) for loss in (by_count, by_row)]
+    for one, other in zip(*gradients, strict=True):
+        assert torch.allclose(one, other, atol=1e-6, rtol=1e-4)
+
+
+def test_learns_what_can_be_learnt(problem):
+    module, history = train_network(*problem, replace(SMALL, max_epochs=40, patience=40))
+    features, triples = problem[2:]
+    frequency = triples["positives"] / triples["count"]
+    base = problem[1]["positives"].sum() / problem[1]["count"].sum()
+    probs = predict_features(module, features)
+    assert np.abs(probs - frequency).mean() < 0.4 * np.abs(base - frequency).mean()
+    assert history[0]["validation_loss"] > history[-1]["validation_loss"]
+
+
+def test_same_seed_same_weights_and_history_other_seed_another(problem):
+    first, history = train_network(*problem, SMALL)
+    again, history_again = train_network(*problem, SMALL)
+    other, _ = train_network(*problem, replace(SMALL, seed=1))
+    assert same(weights_of(first), weights_of(again)) and history == history_again
+    assert not same(weights_of(first), weights_of(other))
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.2])
+@pytest.mark.parametrize("stop_at", [5, 7])
+def test_interrupted_training_ends_the_same(problem, tmp_path, dropout, stop_at):
+    options = replace(SMALL, dropout=dropout, checkpoint_every=3)
+    whole, history = train_network(*problem, options)
+
+    def stop(epoch, _):
+        if epoch == stop_at:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        train_network(*problem, options, stop, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    seen = []
+    resumed, resumed_history = train_network(*problem, options, lambda epoch, _: seen.append(epoch), tmp_path)
+    assert seen[0] == stop_at // 3 * 3 + 1 and seen[-1] == 12
+    assert resumed_history == history and same(weights_of(resumed), weights_of(whole))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_checkpoint_of_other_options_or_damaged_is_not_used(problem, tmp_path):
+    def stop(epoch, _):
+        if epoch == 6:
+            raise Interrupted
+
+    options = replace(SMALL, checkpoint_every=2)
+    with pytest.raises(Interrupted):
+        train_network(*problem, options, stop, tmp_path)
+    seen = []
+    train_network(*problem, replace(options, seed=1), lambda epoch, _: seen.append(epoch), tmp_path)
+    assert seen[0] == 1
+    [path] = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:1000])
+    _, history = train_network(*problem, options, None, tmp_path)
+    assert history == train_network(*problem, options)[1]
+
+
+def test_stops_when_validation_no_longer_improves_and_returns_the_best(problem):
+    features, triples, other_features, other = problem
+    contrary = other.assign(positives=other["count"] - other["positives"])
+    module, history = train_network(
+        features, triples, other_features, contrary, replace(SMALL, max_epochs=40, patience=3)
+    )
+    losses = [entry["validation_loss"] for entry in history]
+    assert len(losses) < 40 and len(losses) - 1 - int(np.argmin(losses)) == 3
+    probs = predict_features(module, other_features)
+    loss = -(contrary["positives"] * np.log(probs) + (contrary["count"] - contrary["positives"]) * np.log1p(-probs))
+    assert loss.sum() / contrary["count"].sum() == pytest.approx(min(losses), rel=1e-5)
+    assert [entry["best_validation_loss"] for entry in history] == list(itertools.accumulate(losses, min))
+
+
+def test_without_validation_homes_it_trains_to_the_end(problem):
+    features, triples, _, _ = problem
+    _, history = train_network(features, triples, features[:0], triples[:0], replace(SMALL, max_epochs=4, patience=1))
+    assert len(history) == 4 and np.isnan(history[0]["validation_loss"])
+
+
+def test_a_last_batch_of_one_row_is_no_trouble(problem):
+    features, triples, _, _ = problem
+    _, history = train_network(features[:33], triples[:33], features[:0], triples[:0], replace(SMALL, max_epochs=2))
+    assert all(np.isfinite(entry["train_loss"]) for entry in history)
+
+
+def test_leaves_random_state_and_threads_alone(problem):
+    torch.manual_seed(5)
+    before, threads = torch.get_rng_state(), torch.get_num_threads()
+    train_network(*problem, replace(SMALL, max_epochs=2, dropout=0.1, threads=threads + 1))
+    assert torch.equal(torch.get_rng_state(), before) and torch.get_num_threads() == threads
+
+
+def test_prediction_does_not_depend_on_the_batch(problem):
+    module, _ = train_network(*problem, SMALL)
+    features = problem[2]
+    whole = predict_features(module, features)
+    assert predict_features(module, features, batch_size=7) == pytest.approx(whole, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"layers": ()}, "layers must be one or more positive widths"),
+        ({"device": "tpu"}, "unknown device 'tpu'; allowed: auto, cpu, cuda, mps"),
+        ({"max_epochs": 0}, "max_epochs must be at least 1, got 0"),
+        ({"batch_size": 1}, "batch_size must be at least 2"),
+        ({"learning_rate": 0.0}, "learning_rate > 0"),
+    ],
+)
+def test_bad_options(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        NetworkOptions(**wrong)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without a GPU")
+def test_a_gpu_asked_for_in_vain(problem):
+    with pytest.raises(ValueError, match="torch sees no GPU; use device=auto or cpu"):
+        train_network(*problem, replace(SMALL, device="cuda"))
+
+
+def test_too_little_to_train_on(problem):
+    features, triples, _, _ = problem
+    with pytest.raises(ValueError, match="at least 2 distinct training triples, got 1"):
+        train_network(features[:1], triples[:1], features[:0], triples[:0], SMALL)
+
+
+def test_stored_weights_are_no_pickle(tmp_path):
+    model = NetworkModel("mlp", build_module(12, (4,), seed=0), (4,))
+    model.save(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "weights.safetensors"]

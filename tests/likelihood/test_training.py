@@ -1,0 +1,58 @@
+"""Training of every kind on a world whose likelihoods are known, and on real homes where there are some."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mrtask.homes.procthor import read_houses
+from mrtask.likelihood.dataset import build_dataset
+from mrtask.likelihood.network import NetworkOptions
+from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, score_unseen, train_model
+
+NETWORK = NetworkOptions(layers=(32, 16), max_epochs=60, patience=60, batch_size=8, device="cpu", threads=1)
+
+
+@pytest.mark.parametrize("kind", MODEL_KINDS)
+def test_comes_near_the_true_likelihoods(made_up_dataset, true_probs, embedding_cache, kind):
+    epochs, phases = [], []
+    options = TrainingOptions(kind, network=NETWORK, cache_dir=embedding_cache)
+    trained = train_model(made_up_dataset, options, lambda epoch, metrics: epochs.append(epoch), phases.append)
+    truth = pd.DataFrame(
+        [(name, *place, prob) for place, probs in true_probs.items() for name, prob in probs.items()],
+        columns=["object", "container", "room", "prob"],
+    )
+    error = np.abs(trained.model.predict(truth) - truth["prob"])
+    assert error.mean() < (0.25 if kind == "logistic" else 0.05)
+    assert phases[-1] == "measuring"
+    assert epochs == [entry["epoch"] for entry in trained.history] and bool(epochs) == (kind in ("paper_fcnn", "mlp"))
+    assert trained.metrics["test"]["log_loss"] < (0.6 if kind == "logistic" else 0.42)
+    assert trained.metrics["test"]["rows"] == 80 * 25
+
+
+def test_unknown_kind():
+    with pytest.raises(ValueError, match="unknown likelihood model 'oracle'; allowed: similarity, paper_fcnn, mlp"):
+        TrainingOptions("oracle")
+    with pytest.raises(ValueError, match="regularisation and smoothing must be above 0"):
+        TrainingOptions(smoothing=0.0)
+
+
+def test_unseen_names_are_predicted_without_their_counts(made_up_dataset):
+    """The frequency table then knows no more than the kind of container."""
+    found = score_unseen(made_up_dataset, TrainingOptions("frequency"))
+    seen = train_model(made_up_dataset, TrainingOptions("frequency")).metrics
+    assert found["rows"] == seen["test"]["rows"] and found["log_loss"] > seen["test"]["log_loss"] + 0.1
+    assert seen["unseen"] == found
+
+
+def test_on_real_homes_names_help(shared_homes, embedding_cache):
+    """The default is at least level with the frequency table on seen names, and clearly better on unseen ones."""
+    files = [shared_homes / "procthor-4to10room.jsonl.gz"]
+    homes = sorted(read_houses(files, shared_homes / "asset-database.json"), key=lambda home: home.id)
+    split = {"train": homes[:40], "validation": homes[40:50], "test": homes[50:]}
+    dataset = build_dataset(split, source="real", seed=0, code_version="test")
+    table = train_model(dataset, TrainingOptions("frequency", cache_dir=embedding_cache)).metrics
+    ours = train_model(dataset, TrainingOptions(cache_dir=embedding_cache)).metrics
+    assert ours["test"]["log_loss"] <= table["test"]["log_loss"]
+    assert ours["test"]["roc_auc"] >= table["test"]["roc_auc"] - 0.002
+    assert ours["unseen"]["log_loss"] < table["unseen"]["log_loss"] - 0.005
+    assert ours["unseen"]["roc_auc"] > table["unseen"]["roc_auc"] + 0.03
