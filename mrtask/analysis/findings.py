@@ -1,0 +1,228 @@
+"""The answer in words, computed from the data: is the planner better than the baselines, and than was published?
+
+Every sentence holds for whatever is there: missing planners, missing cells, no finished episode, a planner that loses.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mrtask.analysis.published import PAPERS_PLANNER, Published
+from mrtask.analysis.statistics import (
+    ALL_CLASSES,
+    ALL_TEAMS,
+    BASELINES,
+    INFORMED_BASELINE,
+    KNOWN,
+    LEAST_FOR_INTERVAL,
+    REFERENCES,
+    Cell,
+    Estimate,
+    Summary,
+)
+from mrtask.analysis.style import short_name
+
+EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
+FEW_PAIRS = 30
+"""Below this many trials in a cell its interval says little."""
+TOLD_APART = ("config_hash", "code_version", "model_version")
+"""Columns that a single experiment has one value of."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """``verdict`` answers in a word or two, ``headline`` in a sentence; the rest adds detail and caution."""
+
+    verdict: str
+    headline: str
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def main_planner(planners: Sequence[str], wanted: str | None = None) -> str | None:
+    """The planner that the report is about: ``wanted``, else `pouct`, a user's own, or the best of the rest."""
+    if wanted in planners:
+        return wanted
+    own = [name for name in planners if name not in (*REFERENCES, "pouct", KNOWN)]
+    ranked = ["pouct", *own, PAPERS_PLANNER, "greedy", *reversed(BASELINES), KNOWN]
+    return next((name for name in ranked if name in planners), None)
+
+
+def find(summary: Summary, published: Published, planner: str | None) -> Findings:
+    """The findings on ``planner`` against the baselines that ran."""
+    if planner is None:
+        return Findings("No answer", "There are no episodes yet.", (), ())
+    name = short_name(planner)
+    against = [b for b in BASELINES if b != planner and (EVERYTHING, planner, b) in summary.comparisons]
+    pooled = {b: summary.comparisons[EVERYTHING, planner, b].improvement for b in against}
+    shown = {b: estimate for b, estimate in pooled.items() if estimate.defined}
+    warnings = _warnings(summary, planner)
+    if not shown:
+        reason = (
+            "no trial was finished by both it and a baseline"
+            if against
+            else f"none of the baselines {' and '.join(b for b in BASELINES if b != planner)} ran"
+        )
+        return Findings("No answer", f"{name} cannot be compared with the baselines: {reason}.", (), warnings)
+    # The harder baseline, which a reader asks about first, opens the sentence.
+    told = [f"{_than(estimate)} {short_name(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
+    headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(told)}."
+    sentences = [_cells_sentence(summary, planner, b) for b in reversed(shown)]
+    sentences += _published_sentences(summary, published, planner, list(shown))
+    sentences += _reference_sentences(summary, planner)
+    return Findings(_verdict(list(shown.values())), headline, tuple(sentences), warnings)
+
+
+def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
+    """Warns where the rows of one variant come from several configurations, code or model versions.
+
+    Cells of a sweep that make one variant together have a configuration each.
+    """
+    warnings = []
+    in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
+    for column in TOLD_APART:
+        if column in episodes.columns and not (in_sweep and column == "config_hash"):
+            values = sorted(episodes[column].dropna().astype(str).unique())
+            if len(values) > 1:
+                shown = ", ".join(values[:4]) + (", ..." if len(values) > 4 else "")
+                warnings.append(f"The episodes mix {len(values)} values of {column} ({shown}); compare with care.")
+    return warnings
+
+
+def percent(value: float) -> str:
+    """One decimal."""
+    return f"{value:.1f}\N{NO-BREAK SPACE}%"
+
+
+def _verdict(estimates: Sequence[Estimate]) -> str:
+    better = [estimate.low > 0 for estimate in estimates]
+    worse = [estimate.high < 0 for estimate in estimates]
+    if all(better):
+        return "Yes"
+    if any(worse):
+        return "Only in part" if any(better) else "No"
+    return "Only in part" if any(better) else "Not shown"
+
+
+def _than(estimate: Estimate) -> str:
+    if round(estimate.value, 1) == 0:
+        return "as fast as"
+    return f"{percent(abs(estimate.value))} {'sooner' if estimate.value > 0 else 'later'} than"
+
+
+def _interval(estimate: Estimate) -> str:
+    if not np.isfinite(estimate.low):
+        return "too few trials for an interval"
+    sign = "" if estimate.value >= 0 else f"improvement {percent(estimate.value)}, "
+    return f"{sign}95 % interval {estimate.low:.1f} to {estimate.high:.1f}"
+
+
+def _trials(estimates: dict[str, Estimate]) -> str:
+    counts = sorted({estimate.n for estimate in estimates.values()})
+    return f"{' and '.join(map(str, counts))} paired trial{'s' if counts != [1] else ''}"
+
+
+def _cells_sentence(summary: Summary, planner: str, baseline: str) -> str:
+    found = {
+        cell: summary.comparisons[cell, planner, baseline].improvement
+        for cell in summary.cells
+        if (cell, planner, baseline) in summary.comparisons
+    }
+    found = {cell: estimate for cell, estimate in found.items() if estimate.defined}
+    ahead = sum(estimate.value > 0 for estimate in found.values())
+    clear = sum(estimate.low > 0 for estimate in found.values())
+    behind = sum(estimate.high < 0 for estimate in found.values())
+    least = min(found, key=lambda cell: found[cell].value)
+    most = max(found, key=lambda cell: found[cell].value)
+    text = (
+        f"Against {short_name(baseline)} it is better in {ahead} of {_count(len(found), 'cell')} "
+        f"of size class and team size, clearly (the interval excludes zero) in {clear}"
+    )
+    text += f", and clearly worse in {behind}" if behind else ""
+    if least != most:
+        low, high = percent(found[least].value), percent(found[most].value)
+        text += f"; from {low} ({cell_name(least)}) to {high} ({cell_name(most)})"
+    return text + "."
+
+
+def _published_sentences(summary: Summary, published: Published, planner: str, baselines: Sequence[str]) -> list[str]:
+    pairs = []
+    for baseline in baselines:
+        for cell in summary.cells:
+            printed = published.improvement_of(planner, baseline, cell)
+            comparison = summary.comparisons.get((cell, planner, baseline))
+            if printed is not None and comparison and comparison.improvement.defined:
+                pairs.append((comparison.improvement, printed))
+    if not pairs:
+        return []
+    above = sum(estimate.value > printed for estimate, printed in pairs)
+    clearly_above = sum(estimate.low > printed for estimate, printed in pairs)
+    clearly_below = sum(estimate.high < printed for estimate, printed in pairs)
+    ours = np.mean([estimate.value for estimate, _ in pairs])
+    theirs = np.mean([printed for _, printed in pairs])
+    return [
+        f"Beside the published planner: of {_count(len(pairs), 'published improvement')} for these cells, ours is "
+        f"above {above} (its whole interval in {clearly_above}) and below {len(pairs) - above} (whole interval in "
+        f"{clearly_below}); on average {percent(float(ours))} against {percent(float(theirs))} published."
+    ]
+
+
+def _reference_sentences(summary: Summary, planner: str) -> list[str]:
+    sentences = []
+    for reference in REFERENCES:
+        comparison = summary.comparisons.get((EVERYTHING, planner, reference))
+        if reference not in BASELINES and comparison and comparison.improvement.defined:
+            estimate = comparison.improvement
+            sentences.append(f"It finishes {_than(estimate)} {reference} ({_interval(estimate)}).")
+    gap = summary.gaps.get((EVERYTHING, planner))
+    if gap and gap.defined:
+        interval = f" (95 % interval {gap.low:.1f} to {gap.high:.1f})" if np.isfinite(gap.low) else ""
+        sentences.append(
+            f"Of what knowing all contents would save over {INFORMED_BASELINE}, "
+            f"it saves {percent(gap.value)}{interval}."
+        )
+    return sentences
+
+
+def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
+    warnings = []
+    for status in ("error", "timeout"):
+        counts = {name: summary.planner_cells[EVERYTHING, name].counts[status] for name in summary.planners}
+        if total := sum(counts.values()):
+            shares = ", ".join(f"{short_name(name)} {count}" for name, count in counts.items() if count)
+            warnings.append(f"{_count(total, 'episode')} ended with status {status} ({shares}).")
+    for baseline in BASELINES:
+        comparison = summary.comparisons.get((EVERYTHING, planner, baseline))
+        if comparison and comparison.only_baseline:
+            warnings.append(
+                f"{short_name(baseline)} finished {_count(comparison.only_baseline, 'trial')} that "
+                f"{short_name(planner)} has not: they are in no comparison, which flatters the latter."
+            )
+    pairs = {
+        cell: comparison.improvement.n
+        for (cell, name, baseline), comparison in summary.comparisons.items()
+        if name == planner and baseline in BASELINES and cell in summary.cells
+    }
+    few = [cell for cell, n in pairs.items() if n < FEW_PAIRS]
+    if few:
+        fewest = min(few, key=lambda cell: pairs[cell])
+        warnings.append(
+            f"Fewer than {FEW_PAIRS} paired trials in {len(few)} of {_count(len(pairs), 'cell')} (the fewest: "
+            f"{pairs[fewest]} in {cell_name(fewest)}): intervals there are rough, "
+            f"and below {LEAST_FOR_INTERVAL} trials there are none."
+        )
+    return tuple(warnings)
+
+
+def cell_name(cell: Cell) -> str:
+    """``medium, 2 robots``."""
+    size_class, robots = cell
+    if robots == ALL_TEAMS:
+        return size_class
+    return f"{size_class}, {_count(robots, 'robot')}"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

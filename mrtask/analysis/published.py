@@ -1,0 +1,90 @@
+"""The published results (``published.toml``) that ours are compared with.
+
+Source: Khanal, Paudel, Pham, Stein, *Multi-Robot Learning-Informed Task Planning Under Uncertainty*, ICRA 2026
+(arXiv 2603.20544): the table of mean costs in simulation and the two-robot trials in real apartments.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+PAPERS_PLANNER = "pouct_paper"
+"""Our name for the planner that the paper proposes."""
+
+Cell = tuple[str, int]
+"""``(size class, robots)``: one column of the paper's table."""
+
+
+@dataclass(frozen=True)
+class RealWorldTrial:
+    """A trial of two robots in a real apartment; navigation costs in metres."""
+
+    name: str
+    containers: tuple[str, ...]
+    objects: Mapping[str, str]
+    """Object -> the container that holds it."""
+    task: str
+    formula: str
+    myopic_m: float
+    planner_m: float
+
+
+@dataclass(frozen=True)
+class Published:
+    """The paper's figures: costs in grid cells of 0.05 m, improvements in percent."""
+
+    citation: str
+    url: str
+    cost_cells: Mapping[tuple[str, Cell], float]
+    """``(planner, cell)`` -> mean cost; planners are `nonlearned_myopic`, `learned_myopic` and `PAPERS_PLANNER`."""
+    improvement_percent: Mapping[tuple[str, Cell], float]
+    """``(baseline, cell)`` -> the paper's planner's improvement over it."""
+    real_world: tuple[RealWorldTrial, ...]
+
+    def cost_of(self, planner: str, cell: Cell) -> float | None:
+        """The published mean cost of the `published_counterpart` of one of our planners."""
+        return self.cost_cells.get((published_counterpart(planner), cell))
+
+    def improvement_of(self, planner: str, baseline: str, cell: Cell) -> float | None:
+        """The published improvement to set beside ours of ``planner`` over ``baseline``, in percent.
+
+        As printed for the paper's planner; between its baselines, what the printed means give.
+        """
+        if published_counterpart(planner) == PAPERS_PLANNER:
+            return self.improvement_percent.get((baseline, cell))
+        cost, base_cost = self.cost_of(planner, cell), self.cost_of(baseline, cell)
+        return None if planner == baseline or cost is None or base_cost is None else 100 * (1 - cost / base_cost)
+
+
+def published_counterpart(planner: str) -> str:
+    """The planner of the paper's table that ``planner`` is compared with.
+
+    The baselines and references stand for themselves (`known` and `greedy` are not in the paper); every other planner
+    is measured against the one that the paper proposes.
+    """
+    return planner if planner in ("nonlearned_myopic", "learned_myopic", "greedy", "known") else PAPERS_PLANNER
+
+
+@cache
+def load_published() -> Published:
+    """Reads the packaged table."""
+    raw = tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
+    source = raw["source"]
+
+    def table(part: str) -> dict[tuple[str, Cell], float]:
+        return {
+            (name, (size_class, robots)): float(value)
+            for name, by_class in raw[part].items()
+            for size_class, values in by_class.items()
+            for robots, value in zip(raw["robots"], values, strict=True)
+        }
+
+    return Published(
+        citation=f"{source['authors']}: {source['title']}. {source['venue']}, arXiv {source['arxiv']}",
+        url=f"https://arxiv.org/abs/{source['arxiv']}",
+        cost_cells=table("cost_cells"),
+        improvement_percent=table("improvement_percent"),
+        real_world=tuple(RealWorldTrial(**{**t, "containers": tuple(t["containers"])}) for t in raw["real_world"]),
+    )

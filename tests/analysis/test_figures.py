@@ -1,0 +1,113 @@
+import base64
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from mrtask.analysis import figures
+from mrtask.analysis.episodes import prepare
+from mrtask.analysis.published import load_published
+from mrtask.analysis.statistics import BASELINES, summarise
+from mrtask.analysis.style import data_uri, planner_looks, seconds, short_name
+from tests.analysis.synthetic import fail, make_episodes, rows
+
+PUBLISHED = load_published()
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    frame = make_episodes(5, size_classes=["small", "large"])
+    return prepare(fail(frame, frame.index.to_series() == 4))  # pouct's first small trial
+
+
+@pytest.fixture(scope="module")
+def summary(episodes):
+    return summarise(episodes)
+
+
+def test_scatter_has_a_point_per_pair(episodes, summary):
+    figure = figures.scatter(episodes, summary, "pouct", BASELINES)
+    assert len(figure.axes) == 4
+    costs = episodes.pivot(index="trial_id", columns="planner", values="cost_cells")
+    for axes, (baseline, size_class) in zip(
+        figure.axes, [(b, c) for b in BASELINES for c in ("small", "large")], strict=True
+    ):
+        drawn = np.concatenate([dots.get_offsets() for dots in axes.collections[1:]])
+        pairs = costs.loc[costs.index.str.startswith(size_class), [baseline, "pouct"]].dropna()
+        assert sorted(map(tuple, drawn.tolist())) == sorted(map(tuple, pairs.to_numpy().tolist()))
+
+
+def test_improvement_bars(summary):
+    figure = figures.improvements(summary, PUBLISHED, "pouct", BASELINES)
+    for axes, baseline in zip(figure.axes, BASELINES, strict=True):
+        heights = [bar.get_height() for bar in axes.patches]
+        printed = [PUBLISHED.improvement_of("pouct", baseline, cell) for cell in summary.cells]
+        ours = [summary.comparisons[cell, "pouct", baseline].improvement.value for cell in summary.cells]
+        assert heights == pytest.approx([*printed, *ours])
+
+
+def test_mean_cost_lines(summary):
+    figure = figures.mean_costs(summary, PUBLISHED)
+    heights = [tuple(line.get_ydata()) for line in figure.axes[0].lines]
+    means = tuple(summary.planner_cells[("small", robots), "greedy"].cost_cells.value for robots in (1, 2, 3))
+    assert (215.22, 145.67, 130.86) in heights and means in heights
+
+
+def test_planning_times(episodes, summary):
+    axes = figures.planning_times(episodes, summary.planners).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(summary.planners)
+    assert len(axes.patches) == 3 * len(summary.planners)
+
+
+def test_sweep_has_the_values_as_ticks(summary):
+    variants = {f"planner.pouct.samples={count}": summary for count in (10, 1000)}
+    axes = figures.sweep(variants, "pouct", BASELINES).axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["10", "1000"]
+    assert axes.get_xlabel() == "planner.pouct.samples"
+    mixed = figures.sweep({"a=1,b=2": summary, "": summary}, "pouct", BASELINES).axes[0]
+    assert [label.get_text() for label in mixed.get_xticklabels()] == ["a=1\nb=2", "as configured"]
+
+
+def test_nothing_to_draw(summary):
+    empty = prepare(make_episodes(1).head(0))
+    none = summarise(empty)
+    assert figures.scatter(empty, none, "pouct", BASELINES) is None
+    assert figures.mean_costs(none, PUBLISHED) is None
+    assert figures.improvements(none, PUBLISHED, "pouct", BASELINES) is None
+    assert figures.planning_times(empty, ()) is None
+    assert figures.sweep({"": summary}, "pouct", BASELINES) is None
+    failed = prepare(rows("small", 1, {"pouct": [None], "learned_myopic": [1.0]}))
+    assert figures.scatter(failed, summarise(failed), "pouct", BASELINES) is None
+    assert figures.planning_times(failed, ("pouct",)) is None
+
+
+def test_costs_of_zero_are_drawn():
+    frame = prepare(rows("small", 1, {"pouct": [0.0, 0.0], "learned_myopic": [0.0, 0.0]}))
+    data_uri(figures.scatter(frame, summarise(frame), "pouct", BASELINES))
+    data_uri(figures.improvements(summarise(frame), PUBLISHED, "pouct", BASELINES))
+
+
+def test_uri_is_svg_and_the_same_each_time(summary):
+    first, second = (data_uri(figures.mean_costs(summary, PUBLISHED)) for _ in range(2))
+    assert first == second
+    root = ElementTree.fromstring(base64.b64decode(first.partition(",")[2]))
+    assert root.tag.endswith("svg")
+
+
+def test_many_points_stay_small():
+    episodes = prepare(make_episodes(850, ["learned_myopic", "pouct"], ["small"], [1, 2]))
+    assert len(data_uri(figures.scatter(episodes, summarise(episodes), "pouct", BASELINES))) < 400_000
+
+
+def test_looks():
+    looks = planner_looks(["pouct", "my.A", "my.B", "known"])
+    assert len(set(looks.values())) == 4
+    assert short_name("my_lab.planners.Mine") == "Mine"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0123, "12.3 ms"), (5, "5 s"), (125, "2 min 05 s"), (3725, "1 h 02 min"), (float("nan"), "\N{EN DASH}")],
+)
+def test_seconds(value, text):
+    assert seconds(value) == text

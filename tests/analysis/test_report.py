@@ -1,0 +1,264 @@
+import html
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mrtask.analysis import report as library
+from mrtask.analysis.facts import beats_frequency, failure_table, homes_facts, run_facts
+from mrtask.analysis.report import homes_to_draw, render_report
+from mrtask.execution.trace import Leg, Letter, Trace
+from tests.analysis.synthetic import fail, make_episodes, rows
+
+VOID_TAGS = {"meta", "img", "br", "link", "input"}
+MANIFEST = {
+    "experiment": "paper",
+    "seed": 7,
+    "planners": ["learned_myopic", "pouct"],
+    "planner_options": {"pouct": {"samples": 1000, "time_limit_s": None}},
+    "config": {"evaluation": {"robots": [1, 2, 3]}},
+    "config_hash": "c0ffee",
+    "code_version": "v1-2",
+    "wall_s": 3725,
+    "stages": {"homes": 3.5, "train": 130.0},
+    "model": {
+        "name": "container-object-likelihood",
+        "version": "4",
+        "champion": True,
+        "metrics": {"log_loss": 0.31, "roc_auc": 0.9, "rows": 1234.0, "ece": float("nan")},
+        "frequency_metrics": {"log_loss": 0.35, "roc_auc": 0.88},
+    },
+    "homes": {"source": "generated", "evaluated": 300, "reachable_share": 0.9971, "skipped": {"no containers": 2}},
+    "machine": {"cpus": 2},
+    "unknown": object(),
+}
+
+
+class Page(HTMLParser):
+    """A page's text, links and tags; raises where tags do not nest."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.open, self.text, self.attributes, self.ids, self.tags = [], [], [], set(), set()
+        self.feed(source)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        self.ids |= {value for name, value in attrs if name == "id"}
+        if tag not in VOID_TAGS:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return " ".join("".join(self.text).split())
+
+    @property
+    def images(self) -> list[str]:
+        return [value for tag, name, value in self.attributes if (tag, name) == ("img", "src")]
+
+
+def page_of(folder, episodes, manifest=MANIFEST, homes=None) -> Page:
+    path = render_report(episodes, manifest, homes or {}, folder)
+    assert path == folder / "index.html"
+    page = Page(path.read_text(encoding="utf-8"))
+    for _, name, value in page.attributes:
+        if name == "src":
+            assert value.startswith("data:image/"), "the page loads a picture from elsewhere"
+        elif name == "href":
+            assert value.removeprefix("#") in page.ids or value == "https://arxiv.org/abs/2603.20544"
+        assert not name.startswith("on")
+    assert not page.tags & {"script", "link", "iframe"}
+    return page
+
+
+def small(planners=("nonlearned_myopic", "learned_myopic", "pouct"), size_classes=("small",), robots=(1,)):
+    return make_episodes(4, planners, size_classes, robots)
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    """For tests of the text: figures are made but not drawn, which takes most of a report's time."""
+    monkeypatch.setattr(library, "data_uri", lambda figure: "data:image/svg+xml;base64,")
+
+
+def test_whole_report(tmp_path, two_room_home):
+    fridge, _, _ = (container.id for container in two_room_home.containers)
+    place = (0.4, 0.9)
+    legs = (Leg("move", 0, 1, fridge, None, ((2, 1), place)), Leg("search", 1, 1, fridge, None, (place,)))
+    trace = Trace((2.0, 1.0), (legs,), (Letter(1, 0, "Egg", fridge),)).to_json()
+    episodes = make_episodes(3).assign(home_id=two_room_home.id, trace=trace)
+    page = page_of(tmp_path, episodes, homes={two_room_home.id: two_room_home})
+    text = page.words
+    assert "Does the planner pouct beat the baselines, by how much" in text
+    assert re.search(
+        r"Yes\. Over 27 paired trials, pouct finishes its tasks \d+\.\d % sooner than learned_myopic", text
+    )
+    assert "paper 215.22" in text and "paper 37.12 %" in text
+    assert len(page.images) == 4 + 3
+    assert "None: all 162 episodes were accepted." in text
+    for words in ("c0ffee", "v1-2", "1 h 02 min", "homes: 3.5 s, train: 2 min 10 s", "99.71 %", "no containers: 2"):
+        assert words in text, words
+    assert "pouct: (samples: 1000)" in text and "cpus: 2" in text
+    assert "log loss (lower is better)" in text and "does not beat" not in text
+    table = pd.read_csv(tmp_path / "table.csv")
+    assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+
+
+CASES = {
+    "no episodes": make_episodes(1).head(0),
+    "one planner": small(["pouct"]),
+    "only baselines": small(["nonlearned_myopic", "learned_myopic"]),
+    "a user's planner": small(["learned_myopic", "lab.planners.Mine"]),
+    "missing cells": pd.concat(
+        [small(["learned_myopic", "pouct"], robots=[3]), small(["greedy"], size_classes=["large"])]
+    ),
+    "none accepted": small().assign(status="failed", error="Mug is nowhere"),
+    "planners share no trial": rows("small", 1, {"pouct": [None, 1.0], "learned_myopic": [2.0, None]}),
+    "one trial of another size class": small(size_classes=["hall"], robots=[8]).head(3),
+    "costs of zero": rows("small", 1, {"pouct": [0.0, 0.0], "learned_myopic": [0.0, 0.0]}),
+    "required columns only": small()[["trial_id", "size_class", "robots", "planner", "status", "cost_s", "cost_cells"]],
+    "nulls everywhere": small().assign(
+        error=None, samples=None, decisions=None, planning_s=None, home_id=None, trace=None
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_is_right_with_what_there_is(tmp_path, name):
+    text = page_of(tmp_path, CASES[name], {}).words
+    assert "Episodes without a result" in text
+    assert not re.search(r"\bnan\b|\bNone\b(?!:)|\binf\b|\[\]|\{\}", text)
+
+
+def test_failures_are_shown_with_their_reasons(tmp_path, blank_pictures):
+    frame = small()
+    frame = fail(frame, frame["trial_id"] == "small-1-000", "failed", "Mug is in no reachable container")
+    frame = fail(
+        frame, frame.index.to_series() == 11, "error", "Traceback (most recent call last):\n  File\nKeyError: 'x'\n"
+    )
+    text = page_of(tmp_path, frame).words
+    assert "Mug is in no reachable container" in text and "KeyError: 'x'" in text and "most recent call" not in text
+    assert "1 episode ended with status error (pouct 1)." in text
+    assert "2/4 finished" in text
+
+
+def test_text_is_escaped(tmp_path):
+    evil = '<script>alert("1")</script>&amp;'
+    frame = small(["learned_myopic", "pouct"]).assign(home_id=evil, formula=evil, config_hash=evil, sweep=evil)
+    frame = fail(frame, frame.index.to_series() == 0, "error", evil)
+    manifest = {"experiment": evil, "config": {evil: evil}, "model": {"note": evil}, "homes": {"skipped": {evil: 1}}}
+    page = page_of(tmp_path, frame, manifest)
+    assert page.words.count(evil) >= 5
+    assert html.escape(evil, quote=False) in (tmp_path / "index.html").read_text(encoding="utf-8").replace("&#34;", '"')
+
+
+def test_sweep_is_compared(tmp_path, blank_pictures):
+    parts = []
+    for samples, factor in ((100, 1.2), (1000, 1.0)):
+        for robots in (1, 2):
+            frame = small(robots=[robots])
+            frame.loc[frame["planner"] == "pouct", "cost_s"] *= factor
+            parts.append(frame.assign(sweep=f"planner.pouct.samples={samples},evaluation.robots=[{robots}]"))
+    page = page_of(tmp_path, pd.concat(parts[::-1]))
+    assert "The sweep has 2 variants" in page.words and "those of the last, planner.pouct.samples=1000" in page.words
+    assert "variants" in page.ids
+    table = pd.read_csv(tmp_path / "table.csv")
+    assert list(table["sweep"].unique()) == ["planner.pouct.samples=100", "planner.pouct.samples=1000"]
+    pouct = table[table["planner"] == "pouct"].groupby("sweep")["mean_cost_s"].sum()
+    assert pouct.iloc[0] == pytest.approx(1.2 * pouct.iloc[1], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("model", "beats"),
+    [
+        ({"metrics": {"log_loss": 0.3}, "frequency_metrics": {"log_loss": 0.4}}, True),
+        ({"metrics": {"log_loss": 0.4}, "frequency_metrics": {"log_loss": 0.4}}, False),
+        ({"metrics": {"roc_auc": 0.8}, "frequency_metrics": {"roc_auc": 0.9}}, False),
+        ({"beats_frequency": False, "metrics": {"log_loss": 0.3}, "frequency_metrics": {"log_loss": 0.4}}, False),
+        ({"metrics": {"log_loss": 0.3}}, None),
+        ({"metrics": {"log_loss": float("nan")}, "frequency_metrics": {"log_loss": 0.4}}, None),
+        ({}, None),
+    ],
+)
+def test_warns_of_a_model_that_is_no_better_than_counting(tmp_path, model, beats, blank_pictures):
+    assert beats_frequency(model) is beats
+    text = page_of(tmp_path, small(["pouct"]).head(1), {"model": model}).words
+    assert ("The likelihood model does not beat the frequency table on held-back homes" in text) == (beats is False)
+
+
+def test_missing_episodes_are_named(tmp_path, blank_pictures):
+    text = page_of(tmp_path, small(["pouct"]), {"expected_episodes": 10}).words
+    assert "6 of 10 episodes are missing: the evaluation has not finished." in text
+
+
+def test_refuses_before_it_writes(tmp_path):
+    folder = tmp_path / "report"
+    with pytest.raises(ValueError, match="unknown episode status"):
+        render_report(small().assign(status="ok"), {}, {}, folder)
+    assert not folder.exists()
+
+
+def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch, blank_pictures):
+    render_report(small(["pouct"]), {}, {}, tmp_path)
+    before = (tmp_path / "index.html").read_bytes()
+    monkeypatch.setattr(library.Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        render_report(small(["greedy"]), {}, {}, tmp_path)
+    assert (tmp_path / "index.html").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+
+
+def test_same_input_same_bytes(tmp_path):
+    frame = small(["learned_myopic", "pouct"])
+    for name, rows_ in (("a", frame), ("b", frame.sample(frac=1, random_state=0))):
+        render_report(rows_, MANIFEST | {"unknown": 1}, {}, tmp_path / name)
+    assert (tmp_path / "a/index.html").read_bytes() == (tmp_path / "b/index.html").read_bytes()
+    assert (tmp_path / "a/table.csv").read_bytes() == (tmp_path / "b/table.csv").read_bytes()
+
+
+def test_ten_thousand_episodes_stay_small(tmp_path):
+    render_report(make_episodes(560, ["learned_myopic", "pouct"]), {}, {}, tmp_path)
+    assert (tmp_path / "index.html").stat().st_size < 3_000_000
+
+
+def test_homes_to_draw_are_those_drawn(two_room_home, tmp_path, blank_pictures):
+    trace = Trace((2.0, 1.0), ((),), ()).to_json()
+    frame = small(["learned_myopic", "pouct"]).assign(trace=trace)
+    frame["home_id"] = np.where(frame["trial_id"] == "small-1-003", two_room_home.id, frame["home_id"])
+    wanted = homes_to_draw(frame, {})
+    assert len(wanted) == 3
+    page = page_of(tmp_path, frame, {}, dict.fromkeys(wanted, two_room_home))
+    assert "Most saved" in page.words and all(home_id in page.words for home_id in wanted)
+    assert homes_to_draw(frame.head(0), {}) == []
+
+
+def test_facts_from_rows_where_the_manifest_has_none():
+    frame = small(["pouct"]).assign(config_hash="abc", code_version="v9")
+    assert ("configuration", "abc") in run_facts({}, frame) and ("code version", "v9") in run_facts({}, frame)
+    assert homes_facts({}, frame) == (("in the episodes", "4"),)
+
+
+def test_many_reasons_are_cut():
+    frame = make_episodes(60, ["pouct"], ["small"], [1])
+    frame = frame.assign(status="failed", error=[f"reason {number:02d} {'x' * 300}" for number in range(60)])
+    table = failure_table(frame)
+    assert len(table.rows) == 26 and table.rows[-1].label == "35 other reasons"
+    assert all(len(row.label) <= 240 for row in table.rows)
+
+
+def test_manifest_survives_json():
+    manifest = json.loads(json.dumps({key: value for key, value in MANIFEST.items() if key != "unknown"}))
+    assert run_facts(manifest, small(["pouct"])) == run_facts(MANIFEST, small(["pouct"]))
