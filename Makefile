@@ -1,0 +1,56 @@
+# mrtask: `make help` lists the targets. The environment in .venv is made when it is missing or when
+# pyproject.toml or constraints.txt changed, and left alone otherwise.
+
+EXPERIMENT ?= paper
+ARGS ?=
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+
+VENV := .venv
+BIN := $(VENV)/bin
+# Written last: an interrupted installation leaves it out and the next `make` installs again.
+STAMP := $(VENV)/.installed
+LOG := $(VENV)/install.log
+
+.DEFAULT_GOAL := help
+.PHONY: help install reproduce test lint bench dashboard clean-cache
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "Variables: EXPERIMENT=paper|smoke, ARGS=\"hydra overrides\", PYTHON=python3.11 (or newer)"
+
+install: $(STAMP)  ## make .venv with the tested versions (2.7 GB)
+
+$(STAMP): pyproject.toml constraints.txt
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "error: mrtask needs Python 3.11 or newer; found: $$("$(PYTHON)" --version 2>&1 | head -n 1 || echo none)." \
+		"Install one and say where: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@echo "Installing into $(VENV), once, a few minutes (log: $(LOG))"
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV)
+	@rm -f $(STAMP)
+	@{ $(BIN)/python -m pip install --constraint constraints.txt --upgrade pip setuptools && \
+		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev]'; \
+	} >$(LOG) 2>&1 || { tail -n 20 $(LOG) >&2; echo "error: the installation failed; the whole log is in $(LOG)" >&2; exit 1; }
+	@touch $(STAMP)
+
+reproduce: $(STAMP)  ## run the whole experiment: homes, dataset, training, evaluation, report
+	@$(BIN)/python -m pipeline.reproduce experiment=$(EXPERIMENT) $(ARGS)
+
+test: $(STAMP)  ## run the tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP)  ## formatting, style, types and layers
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: $(STAMP)  ## speed and memory of the planners
+	@for script in benchmarks/*.py; do $(BIN)/python $$script $(ARGS) || exit 1; done
+
+dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http://127.0.0.1:5000)
+	@MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --workers 1 \
+		--backend-store-uri sqlite:///$(CURDIR)/outputs/mlflow.db $(ARGS)
+
+clean-cache:  ## remove cached maps, embeddings and compiled kernels
+	@$(BIN)/python -m pipeline.cache

@@ -1,0 +1,290 @@
+"""The configuration's schema: every key, what it may be, and errors that say so.
+
+Hydra composes ``conf/`` and the command line; `load` turns the result into frozen models or refuses it before any work
+starts. Defaults live in ``conf/`` alone. Relative paths are relative to the caller's folder.
+"""
+
+import difflib
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+
+from mrtask.planning.planners import make_planner
+from mrtask.tasks.templates import TEMPLATES
+
+Positive = Annotated[int, Field(ge=1)]
+SizeClass = Literal["small", "medium", "large"]
+
+
+class UserError(Exception):
+    """Something that the user can mend; shown as one message, without a traceback."""
+
+
+def _absolute(path: Path) -> Path:
+    return Path(path).expanduser().absolute()
+
+
+def _absolute_unless_url(location: str) -> str:
+    return location if "://" in location else str(_absolute(Path(location)))
+
+
+def _listed(value: object) -> object:
+    return [value] if isinstance(value, str | int) else value
+
+
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) != len(values):
+        raise ValueError(f"each may be given once, got {', '.join(map(str, values))}")
+    return values
+
+
+LocalPath = Annotated[Path, AfterValidator(_absolute)]
+Location = Annotated[str, Field(min_length=1), AfterValidator(_absolute_unless_url)]
+"""A local path, made absolute, or an fsspec URL."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+
+
+class _Homes(_Section):
+    seed: int = Field(ge=0)
+    train: Positive
+    validation: Positive
+
+
+class GeneratedHomes(_Homes):
+    """Homes of the procedural generator."""
+
+    source: Literal["generated"]
+    test: Positive
+
+
+class ProcthorHomes(_Homes):
+    """The user's own house files in ProcTHOR's schema."""
+
+    source: Literal["procthor"]
+    test: Positive | None
+    files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    assets: LocalPath | None
+
+
+class Procthor10kHomes(_Homes):
+    """ProcTHOR-10K, downloaded once."""
+
+    source: Literal["procthor10k"]
+    test: Positive | None
+    assets: LocalPath | None
+
+
+Homes = GeneratedHomes | ProcthorHomes | Procthor10kHomes
+
+
+class Map(_Section):
+    """The occupancy grid."""
+
+    resolution_m: float = Field(gt=0, le=1)
+    robot_radius_m: float = Field(ge=0, le=2)
+
+
+class Model(_Section):
+    """Which likelihood model, on which embedding of names."""
+
+    kind: Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
+    embedding: str = Field(min_length=1)
+    layers: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    dropout: float = Field(ge=0, lt=1)
+    regularisation: float = Field(gt=0)
+    smoothing: float = Field(gt=0)
+
+
+class Trainer(_Section):
+    """How the networks are trained."""
+
+    learning_rate: float = Field(gt=0)
+    weight_decay: float = Field(ge=0)
+    batch_size: int = Field(ge=2)
+    max_epochs: Positive
+    patience: Positive
+    device: Literal["auto", "cpu", "cuda", "mps"]
+    threads: int = Field(ge=0)
+    checkpoint_every: Positive
+
+
+class EvaluationHomes(_Section):
+    """Homes to evaluate on instead of the test homes; empty for those."""
+
+    files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+    assets: LocalPath | None
+
+
+class Evaluation(_Section):
+    """Which trials are run, by which planners, with which model."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    size_classes: Annotated[
+        tuple[SizeClass, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+    robots: Annotated[tuple[Positive, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    formula: str | None
+    speed_m_per_s: float = Field(gt=0)
+    search_time_s: float = Field(ge=0)
+    interact_time_s: float = Field(ge=0)
+    homes: EvaluationHomes
+    model_uri: str = Field(pattern="^(models|runs):/")
+    episode_timeout_s: float = Field(gt=0)
+    max_failed_fraction: float = Field(ge=0, le=1)
+    rerun: Annotated[tuple[Literal["error", "timeout", "failed"], ...], BeforeValidator(_listed)]
+
+    @field_validator("templates")
+    @classmethod
+    def _known_templates(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in names if name not in TEMPLATES]
+        if unknown:
+            raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
+        return names
+
+
+class Cluster(_Section):
+    """Where Ray runs and how much of it a run may take."""
+
+    address: str = Field(pattern=r"^(local|auto|ray://.+|[^:/]+:\d+)$")
+    cpus: Positive | None
+    memory_per_task_gb: float = Field(gt=0)
+    retries: int = Field(ge=0)
+
+
+class Tracking(_Section):
+    """Where MLflow keeps runs and models."""
+
+    uri: str = Field(min_length=1)
+    experiment_name: str = Field(min_length=1)
+
+    @field_validator("uri")
+    @classmethod
+    def _absolute_sqlite(cls, uri: str) -> str:
+        scheme = "sqlite:///"
+        return scheme + str(_absolute(Path(uri.removeprefix(scheme)))) if uri.startswith(scheme) else uri
+
+
+class Config(_Section):
+    """All of it, resolved and checked."""
+
+    experiment: str = Field(min_length=1)
+    seed: int = Field(ge=0)
+    output_dir: Location
+    overwrite: bool
+    dry_run: bool
+    datasets_dir: LocalPath
+    cache_dir: LocalPath
+    cache_limit_gb: float = Field(gt=0)
+    map: Map
+    homes: Homes = Field(discriminator="source")
+    model: Model
+    trainer: Trainer
+    planner: dict[str, dict[str, Any]]
+    evaluation: Evaluation
+    cluster: Cluster
+    tracking: Tracking
+
+    def planner_options(self, name: str) -> dict[str, Any]:
+        """The options of one planner; those of a planner of your own stand under its class's name."""
+        return self.planner.get(name.rsplit(".", 1)[-1], {})
+
+
+def load(composed: DictConfig) -> Config:
+    """The checked configuration; raises `UserError` with every mistake, what is allowed and what was given."""
+    try:
+        missing = sorted(OmegaConf.missing_keys(composed))
+        if missing:
+            raise UserError("\n".join(f"{key}: a value is needed, give it as {key}=..." for key in missing))
+        plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
+    except OmegaConfBaseException as error:
+        raise UserError(str(error)) from error
+    try:
+        config = Config.model_validate(plain)
+    except ValidationError as error:
+        raise UserError("\n".join(_explain(item) for item in error.errors())) from error
+    _check_planners(config)
+    return config
+
+
+def _check_planners(config: Config) -> None:
+    for name in config.evaluation.planners:
+        _check_planner("evaluation.planners", name, config.planner_options(name))
+    own = {name.rsplit(".", 1)[-1] for name in config.evaluation.planners if "." in name}
+    for name in config.planner.keys() - own:
+        _check_planner("planner", name, config.planner[name])
+
+
+def _check_planner(key: str, name: str, options: Mapping[str, Any]) -> None:
+    try:
+        make_planner(name, options)
+    except ValueError as error:
+        raise UserError(f"{key}: {error}") from error
+
+
+_BOUNDS = {
+    "greater_than_equal": "at least {ge}",
+    "greater_than": "greater than {gt}",
+    "less_than_equal": "at most {le}",
+    "less_than": "less than {lt}",
+}
+
+
+def _explain(item: Any) -> str:
+    """One pydantic error as ``key=value: what is allowed``."""
+    path = [str(part) for part in item["loc"]]
+    if path[0] == "homes" and len(path) > 1 and path[1] in ("generated", "procthor", "procthor10k"):
+        del path[1]
+    key, kind, context = ".".join(path), item["type"], item.get("ctx", {})
+    if kind == "extra_forbidden":
+        return f"{key}: no such key; {_suggest_keys(path)}"
+    if kind == "missing":
+        return f"{key}: a value is needed, give it as {key}=..."
+    if kind in _BOUNDS:
+        message = "must be " + _BOUNDS[kind].format(**context)
+    elif kind in ("literal_error", "union_tag_invalid"):
+        message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
+    else:
+        message = item["msg"].removeprefix("Value error, ")
+    return f"{key}={item['input']}: {message}"
+
+
+def _suggest_keys(path: list[str]) -> str:
+    model: Any = Config
+    for part in path[:-1]:
+        known = model.model_fields.get(part)
+        if known is None:
+            return suggest(part, list(model.model_fields))
+        if part == "homes" and model is Config:
+            return suggest(path[-1], sorted({key for kind in get_args(Homes) for key in kind.model_fields}))
+        if not (isinstance(known.annotation, type) and issubclass(known.annotation, BaseModel)):
+            return f"`--cfg job` shows what {part} has"
+        model = known.annotation
+    return suggest(path[-1], list(model.model_fields))
+
+
+def explain_unknown_key(key: str) -> str:
+    """What to say about a key that is nowhere in the configuration."""
+    return f"{key}: no such key; {_suggest_keys(key.split('.'))}"
+
+
+def suggest(word: str, allowed: list[str]) -> str:
+    """A hint: the nearest allowed word, if one is near, and all of them."""
+    near = difflib.get_close_matches(word, allowed, n=1)
+    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(allowed)}"
+
+
+def content_hash(content: object) -> str:
+    """16 hex digits of anything made of plain data."""
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,88 @@
+"""What a stage says: a headline, a few lines, one progress bar with time left, where the result is.
+
+On a terminal the bar is drawn in place; elsewhere (a log file, CI) it becomes a plain line every few seconds.
+"""
+
+import sys
+import time
+from types import TracebackType
+
+from tqdm import tqdm
+
+PLAIN_LINE_EVERY_S = 15.0
+INDENT = "   "
+
+
+def headline(stage: str, text: str) -> None:
+    """Opens a stage."""
+    print(f"== {stage}: {text}", flush=True)
+
+
+def line(text: str) -> None:
+    """One line below the headline."""
+    print(INDENT + text, flush=True)
+
+
+def result(path: object, seconds: float) -> None:
+    """Closes a stage: where its result is."""
+    line(f"-> {path} ({duration(seconds)})")
+
+
+def skipped(path: object) -> None:
+    """Closes a stage that had nothing to do."""
+    line(f"-> {path} (unchanged, skipped)")
+
+
+def duration(seconds: float) -> str:
+    """``850 ms``, ``12 s``, ``3 min 20 s``, ``2 h 05 min``."""
+    if seconds < 1:
+        return f"{seconds * 1000:.0f} ms"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+class Progress:
+    """One bar (or a plain line now and then) for ``total`` things, of which ``done`` were there before."""
+
+    def __init__(self, total: int, unit: str, done: int = 0) -> None:
+        self._total, self._unit, self._done, self._before = total, unit, done, done
+        self._note = ""
+        self._start_s = self._last_line_s = time.monotonic()
+        self._bar: tqdm[object] | None = None
+        if sys.stderr.isatty():
+            form = (
+                INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+            )
+            self._bar = tqdm(
+                total=total, initial=done, unit=f" {unit}", bar_format=form, dynamic_ncols=True, leave=False
+            )
+
+    def update(self, count: int = 1, note: str = "") -> None:
+        """``count`` more are done; ``note`` stands at the end of the line."""
+        self._done += count
+        self._note = note or self._note
+        if self._bar is not None:
+            self._bar.set_postfix_str(self._note, refresh=False)
+            self._bar.update(count)
+        elif time.monotonic() - self._last_line_s >= PLAIN_LINE_EVERY_S:
+            self._last_line_s = time.monotonic()
+            line(self._plain())
+
+    def _plain(self) -> str:
+        rate = (self._done - self._before) / (time.monotonic() - self._start_s)
+        left = f", {duration((self._total - self._done) / rate)} left" if rate > 0 else ""
+        note = f", {self._note}" if self._note else ""
+        return f"{self._done}/{self._total} {self._unit}, {rate:.2g}/s{left}{note}"
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,76 @@
+"""Turns homes into labelled rows: which object types lie in which container types, home by home.
+
+The rows go to ``<datasets_dir>/rows`` as Parquet with a manifest and a data card. Made anew only when homes, split or
+code changed.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from mrtask.homes.home import Home
+from mrtask.likelihood.dataset import build_dataset, is_current, write_dataset
+from mrtask.likelihood.rows import label_rows, vocabulary
+from pipeline import console, homes
+from pipeline.app import main
+from pipeline.config import Config, content_hash
+from pipeline.homes import HomeSet
+from pipeline.pool import Pool
+from pipeline.version import code_version, source_hash
+
+HOMES_PER_TASK = 25
+
+
+def run(config: Config, pool: Pool) -> Path:
+    """The stage: the folder of the dataset of the configured homes."""
+    return build(config, pool, homes.run(config, pool))
+
+
+def build(config: Config, pool: Pool, home_set: HomeSet) -> Path:
+    """The folder of the dataset of these homes, made unless it is there."""
+    began_s = time.monotonic()
+    split = home_set.manifest["split"]
+    folder = config.datasets_dir / "rows" / content_hash([split, source_hash("mrtask/likelihood")])
+    console.headline("dataset", "labelled rows (object, container, room)")
+    if is_current(folder, split):
+        console.skipped(homes.shown(folder))
+        return folder
+    members = home_set.read()
+    dataset = build_dataset(
+        members,
+        source=home_set.manifest["source"],
+        seed=config.homes.seed,
+        code_version=code_version(),
+        frames=_label(members, pool),
+    )
+    write_dataset(dataset, folder)
+    counts = dataset.manifest.counts
+    for name in homes.SPLITS:
+        count = counts[name]
+        share = f"{count['positive_share']:.1%} positive"
+        console.line(f"{name:10} {count['rows']:9,.0f} rows of {count['homes']:.0f} homes, {share}")
+    console.result(homes.shown(folder), time.monotonic() - began_s)
+    return folder
+
+
+def _label(members: Mapping[str, Sequence[Home]], pool: Pool) -> Iterator[pd.DataFrame]:
+    everyone = [home for split in members.values() for home in split]
+    chunks = [everyone[start : start + HOMES_PER_TASK] for start in range(0, len(everyone), HOMES_PER_TASK)]
+    with console.Progress(len(everyone), "homes") as progress:
+        for outcome in pool.run(_label_chunk, range(len(chunks)), chunks, vocabulary(members["train"])):
+            if outcome is None:
+                continue
+            if outcome.value is None:
+                raise RuntimeError(f"homes could not be labelled: {outcome.failure}")
+            progress.update(len(chunks[outcome.item]))
+            yield outcome.value
+
+
+def _label_chunk(number: int, chunks: Sequence[Sequence[Home]], objects: tuple[str, ...]) -> pd.DataFrame:
+    return pd.concat([label_rows(home, objects) for home in chunks[number]], ignore_index=True)
+
+
+if __name__ == "__main__":
+    main("pipeline.dataset")

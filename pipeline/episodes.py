@@ -1,0 +1,195 @@
+"""One episode as a worker runs it: from its key and what all episodes share to one row of the results.
+
+A worker keeps what it has read or computed (homes by class, the last maps and trials), so that the planners of a trial
+find it ready.
+"""
+
+import resource
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from mrtask.execution.episode import EpisodeResult, run_episode
+from mrtask.execution.trials import Trial, home_order, sample_trial, trial_id
+from mrtask.homes.home import Home
+from mrtask.likelihood.table import LikelihoodTable
+from mrtask.maps.cache import cached_map
+from mrtask.maps.home_map import HomeMap
+from mrtask.tasks.automaton import build_automaton
+
+MAPS_KEPT = 8
+TRIALS_KEPT = 64
+
+
+@dataclass(frozen=True)
+class EpisodeKey:
+    """Which episode: the trial's cell and number, and the planner. Nothing else decides what happens in it."""
+
+    size_class: str
+    robots: int
+    number: int
+    planner: str
+
+    @property
+    def trial_id(self) -> str:
+        """The trial's key, shared by all planners."""
+        return trial_id(self.size_class, self.robots, self.number)
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """How homes are mapped, and where maps are kept on each machine."""
+
+    resolution_m: float
+    robot_radius_m: float
+    cache_dir: Path
+
+    def map_of(self, home: Home) -> HomeMap:
+        """The home's map, from the cache where it is there."""
+        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """What all episodes of an evaluation share; sent to each worker once."""
+
+    homes: tuple[Home, ...]
+    table: LikelihoodTable
+    maps: MapOptions
+    seed: int
+    trial_options: Mapping[str, Any]
+    """Keywords of `sample_trial`: templates, formula, speed, search and interact times."""
+    planner_options: Mapping[str, Mapping[str, Any]]
+    provenance: Mapping[str, str]
+    """The row's ``model_version``, ``config_hash`` and ``code_version``."""
+
+
+@dataclass(frozen=True)
+class MappedHome:
+    """What mapping a home has shown."""
+
+    home_id: str
+    size_class: str
+    containers: int
+    reachable: int
+
+
+def map_home(number: int, context: Context) -> MappedHome:
+    """Maps a home into the cache."""
+    home = context.homes[number]
+    reachable = context.maps.map_of(home).reachable
+    return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
+
+
+def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
+    """The row of an episode that came to an end, accepted or failed."""
+    began_s = time.perf_counter()
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = context.table.matrix(home, trial.objects)
+    result = run_episode(
+        trial, home, bench.map_of(trial.home_id), likelihood, key.planner, context.planner_options.get(key.planner, {})
+    )
+    return _row(key, trial, home, result, context) | {
+        "wall_s": time.perf_counter() - began_s,
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def warm(key: EpisodeKey, context: Context) -> None:
+    """Compiles what the planner needs: one decision from the fewest samples."""
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    options = dict(context.planner_options.get(key.planner, {}))
+    if "samples" in options:
+        options["samples"] = 1
+    likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
+    run_episode(
+        trial,
+        bench.homes[trial.home_id],
+        bench.map_of(trial.home_id),
+        likelihood,
+        key.planner,
+        options,
+        max_decisions=1,
+    )
+
+
+def failed_row(key: EpisodeKey, context: Context, status: str, error: str) -> dict[str, Any]:
+    """The row of an episode that never came to an end; made in the driver, without its home's map."""
+    return {
+        "trial_id": key.trial_id,
+        "size_class": key.size_class,
+        "robots": key.robots,
+        "planner": key.planner,
+        "status": status,
+        "error": error,
+        **context.provenance,
+    }
+
+
+class _Bench:
+    """A context unpacked in one worker."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self.homes = {home.id: home for home in context.homes}
+        self.map_of = lru_cache(maxsize=MAPS_KEPT)(lambda home_id: context.maps.map_of(self.homes[home_id]))
+        self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)
+        self._order = lru_cache(maxsize=None)(
+            lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed)
+        )
+
+    def _sample(self, size_class: str, robots: int, number: int) -> Trial:
+        context = self._context
+        order = self._order(size_class, robots)
+        map_of = self.map_of
+        return sample_trial(
+            size_class,
+            robots,
+            number,
+            order,
+            lambda home: map_of(home.id),
+            seed=context.seed,
+            **context.trial_options,
+        )
+
+
+@lru_cache(maxsize=1)
+def _bench(context: Context) -> _Bench:
+    return _Bench(context)
+
+
+def _row(key: EpisodeKey, trial: Trial, home: Home, result: EpisodeResult, context: Context) -> dict[str, Any]:
+    return {
+        "trial_id": key.trial_id,
+        "home_id": home.id,
+        "home_source": home.source,
+        "size_class": trial.size_class,
+        "robots": trial.robots,
+        "template": trial.template,
+        "formula": trial.formula,
+        "objects": list(trial.objects),
+        "planner": key.planner,
+        "status": result.status,
+        "cost_s": result.cost_s,
+        "cost_cells": result.cost_cells,
+        "decisions": result.decisions,
+        "planning_s": result.planning_s,
+        "samples": result.samples,
+        "seed": trial.seed,
+        "error": result.error,
+        "start_x_m": result.trace.start[0],
+        "start_y_m": result.trace.start[1],
+        "trace": result.trace.to_json(),
+        **context.provenance,
+    }
+
+
+def formula_objects(formula: str) -> tuple[str, ...]:
+    """The objects of a formula in order of appearance; raises `FormulaError` when it is none."""
+    return build_automaton(formula).propositions

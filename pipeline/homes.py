@@ -1,0 +1,178 @@
+"""Makes or reads the homes and splits them into training, validation and test homes by content.
+
+Generated homes go to ``<datasets_dir>/homes`` in ProcTHOR's own schema, so that they are read like anybody's. Homes of
+your own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json
+"""
+
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from mrtask.execution.trials import key_seed
+from mrtask.homes.generator import generate_house, write_houses
+from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.procthor import read_houses
+from mrtask.homes.split import split_homes
+from pipeline import artifacts, console
+from pipeline.app import main
+from pipeline.config import Config, GeneratedHomes, ProcthorHomes, UserError, content_hash
+from pipeline.pool import Pool
+from pipeline.version import code_version, source_hash
+
+SPLITS = ("train", "validation", "test")
+GENERATED_FILE = "generated.jsonl.gz"
+
+
+@dataclass(frozen=True)
+class HomeSet:
+    """Homes that the stage has found in order: where they are and which is for what."""
+
+    folder: Path
+    files: tuple[Path, ...]
+    assets: Path | None
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """Source, seed, counts, content hash and the ids of each split."""
+        return artifacts.read_manifest(self.folder)
+
+    def read(self) -> dict[str, tuple[Home, ...]]:
+        """The homes by split, each split in the order of its ids."""
+        homes = {home.id: home for home in read_homes(self.files, self.assets)}
+        return {name: tuple(homes[home_id] for home_id in self.manifest["split"][name]) for name in SPLITS}
+
+
+def run(config: Config, pool: Pool) -> HomeSet:
+    """The stage: generates or checks the homes, unless that was done before."""
+    options, began_s = config.homes, time.monotonic()
+    inputs = options.model_dump(mode="json", exclude={"files", "assets"}) | {"code": source_hash("mrtask/homes")}
+    if isinstance(options, GeneratedHomes):
+        total = options.train + options.validation + options.test
+        folder = config.datasets_dir / "homes" / f"generated-{content_hash(inputs)}"
+        found = HomeSet(folder, (folder / GENERATED_FILE,), None)
+        console.headline("homes", f"{total} generated homes, seed {options.seed}")
+    else:
+        files, assets = _given_files(config)
+        hashes = {str(path): _file_hash(path) for path in (*files, *([assets] if assets else []))}
+        folder = config.datasets_dir / "homes" / f"{options.source}-{content_hash([inputs, sorted(hashes.values())])}"
+        found = HomeSet(folder, files, assets)
+        console.headline("homes", f"{', '.join(path.name for path in files)}")
+    if artifacts.ready(folder):
+        console.skipped(shown(folder))
+        return found
+
+    def fill(temporary: Path) -> Mapping[str, Any]:
+        if isinstance(options, GeneratedHomes):
+            write_houses(temporary / GENERATED_FILE, _generate(options.seed, total, pool))
+            homes = read_homes((temporary / GENERATED_FILE,), None)
+        else:
+            homes = read_homes(found.files, found.assets)
+        return _manifest(config, homes)
+
+    artifacts.make(folder, fill)
+    console.line(describe(found.manifest))
+    console.result(shown(folder), time.monotonic() - began_s)
+    return found
+
+
+@lru_cache(maxsize=4)
+def read_homes(files: tuple[Path, ...], assets: Path | None) -> tuple[Home, ...]:
+    """The distinct homes of the files, in order; a faulty one raises `HouseError`."""
+    homes = {home.id: home for home in read_houses(files, assets)}
+    return tuple(homes.values())
+
+
+def describe(manifest: Mapping[str, Any]) -> str:
+    """The homes in one line."""
+    sizes = ", ".join(f"{count} {name}" for name, count in manifest["by_size_class"].items())
+    split = {name: len(ids) for name, ids in manifest["split"].items()}
+    return (
+        f"{manifest['homes']} homes ({sizes}), {manifest['containers']} containers: "
+        f"{split['train']} to train on, {split['validation']} to stop training by, {split['test']} to evaluate on"
+    )
+
+
+def count_by_size_class(homes: Sequence[Home]) -> dict[str, int]:
+    """How many homes of each class, small to large."""
+    counts = Counter(home.size_class for home in homes)
+    return {name: counts[name] for name in SIZE_CLASSES}
+
+
+def _manifest(config: Config, homes: Sequence[Home]) -> dict[str, Any]:
+    options = config.homes
+    try:
+        split = split_homes(
+            [home.id for home in homes], options.train, options.validation, options.test, str(options.seed)
+        )
+    except ValueError as error:
+        raise UserError(
+            f"homes: {error}; give more homes or lower homes.train, homes.validation, homes.test"
+        ) from error
+    return {
+        "source": options.source,
+        "files": [str(path) for path in getattr(options, "files", ())],
+        "seed": options.seed,
+        "code_version": code_version(),
+        "content_hash": content_hash(sorted(home.id for home in homes)),
+        "homes": len(homes),
+        "by_size_class": count_by_size_class(homes),
+        "containers": sum(len(home.containers) for home in homes),
+        "split": {name: list(getattr(split, name)) for name in SPLITS},
+    }
+
+
+def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
+    """The houses in order of their number, whatever order the workers finish in."""
+    waiting: dict[int, dict[str, Any]] = {}
+    following = 0
+    with console.Progress(total, "homes") as progress:
+        for outcome in pool.run(_generate_one, range(total), seed):
+            if outcome is None:
+                continue
+            if outcome.failure is not None or outcome.value is None:
+                raise RuntimeError(f"home {outcome.item} of seed {seed} could not be generated: {outcome.failure}")
+            waiting[outcome.item] = outcome.value
+            progress.update()
+            while following in waiting:
+                yield waiting.pop(following)
+                following += 1
+
+
+def _generate_one(number: int, seed: int) -> dict[str, Any]:
+    return generate_house(key_seed(seed, "home", number), SIZE_CLASSES[number % len(SIZE_CLASSES)])
+
+
+def _given_files(config: Config) -> tuple[tuple[Path, ...], Path | None]:
+    options = config.homes
+    if isinstance(options, ProcthorHomes):
+        files, assets = options.files, options.assets
+    else:
+        raise UserError("homes=procthor10k is not available yet")
+    check_files(files, assets, "homes")
+    return files, assets
+
+
+def check_files(files: Sequence[Path], assets: Path | None, key: str) -> None:
+    """Refuses files that are not there."""
+    for name, path in [*((f"{key}.files", path) for path in files), *([(f"{key}.assets", assets)] if assets else [])]:
+        if not path.is_file():
+            raise UserError(f"{name}: no such file: {path}")
+
+
+def _file_hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def shown(folder: Path) -> Path:
+    """A path as a person in this folder would type it."""
+    return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+
+
+if __name__ == "__main__":
+    main("pipeline.homes")

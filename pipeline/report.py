@@ -1,0 +1,107 @@
+"""Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network, and ``table.csv``.
+
+On the output_dir of a sweep it compares the sweep's cells.
+"""
+
+import json
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mrtask.analysis.report import homes_to_draw, render_report
+from mrtask.homes.home import Home
+from pipeline import console, homes, tracking
+from pipeline.app import main
+from pipeline.config import Config, UserError, content_hash
+from pipeline.evaluation import EPISODES, MANIFEST
+from pipeline.pool import Pool
+from pipeline.results import read_episodes
+from pipeline.storage import Folder, locked
+from pipeline.sweep import CELLS
+from pipeline.version import source_hash
+
+REPORT = "report"
+STAGES = "stages.json"
+KEY_FILE = "manifest.json"
+INDEX = "index.html"
+JUDGED_COLUMNS = ["trial_id", "planner", "status", "cost_s"]
+
+
+def run(config: Config, pool: Pool) -> None:
+    """The stage."""
+    with locked(Folder(config.output_dir), config.cache_dir):
+        report(config)
+
+
+def report(config: Config, run_id: str | None = None) -> Folder:
+    """Writes the report into the output folder unless it is there already.
+
+    It is kept with the MLflow run ``run_id`` too; by default with that of the evaluation.
+    """
+    folder, began_s = Folder(config.output_dir), time.monotonic()
+    episodes, manifest = collect(folder)
+    console.headline("report", f"{len(episodes)} episodes")
+    target = folder / REPORT
+    key = {"key": content_hash([_digest(episodes), manifest, source_hash("mrtask/analysis")])}
+    if target.read(KEY_FILE) == json.dumps(key).encode():
+        console.skipped(target / INDEX)
+        return target
+    drawn = _homes(manifest, set(homes_to_draw(episodes, manifest)))
+    with tempfile.TemporaryDirectory() as temporary:
+        render_report(episodes, manifest, drawn, Path(temporary))
+        target.upload(Path(temporary))
+        if run_id := run_id or manifest.get("run_id"):
+            store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
+            tracking.log_artifact(tracking.Run(store, run_id), Path(temporary), REPORT)
+    target.write(KEY_FILE, json.dumps(key).encode())
+    console.result(target / INDEX, time.monotonic() - began_s)
+    return target
+
+
+def collect(folder: Folder) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The episodes and the manifest of a run, or of all cells of a sweep with a ``sweep`` column."""
+    cells = [folder / CELLS / name for name in (folder / CELLS).names()]
+    manifests = [(cell, _manifest(cell)) for cell in cells]
+    finished = [(cell, manifest) for cell, manifest in manifests if manifest is not None]
+    if finished:
+        frames = [read_episodes(cell / EPISODES).assign(sweep=manifest["sweep"]) for cell, manifest in finished]
+        last = finished[-1][1]
+        expected = sum(manifest["expected_episodes"] for _, manifest in finished)
+        return pd.concat(frames, ignore_index=True), last | {
+            "output_dir": folder.location,
+            "expected_episodes": expected,
+        }
+    manifest = _manifest(folder)
+    if manifest is None:
+        raise UserError(
+            f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
+        )
+    stages = folder.read(STAGES)
+    return read_episodes(folder / EPISODES), manifest | ({"stages": json.loads(stages)} if stages else {})
+
+
+def _manifest(folder: Folder) -> dict[str, Any] | None:
+    content = folder.read(MANIFEST)
+    return None if content is None else dict(json.loads(content))
+
+
+def _digest(episodes: pd.DataFrame) -> str:
+    return content_hash(sorted(map(str, episodes[JUDGED_COLUMNS].itertuples(index=False, name=None))))
+
+
+def _homes(manifest: Mapping[str, Any], ids: set[str]) -> dict[str, Home]:
+    """The homes to be drawn; those whose files are gone are left out."""
+    where = manifest["homes"]
+    files, assets = tuple(map(Path, where["files"])), where["assets"] and Path(where["assets"])
+    if not all(path.is_file() for path in files):
+        console.line("the homes' files are gone: no episode is drawn")
+        return {}
+    return {home.id: home for home in homes.read_homes(files, assets) if home.id in ids}
+
+
+if __name__ == "__main__":
+    main("pipeline.report")

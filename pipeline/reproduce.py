@@ -1,0 +1,52 @@
+"""The whole experiment: homes, dataset, training, evaluation, report. What is there already is not made again.
+
+experiment=paper (default) is the paper's; experiment=smoke the same in small.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from pipeline import console, dataset, evaluate, homes, report, tracking, train
+from pipeline.app import main
+from pipeline.config import Config
+from pipeline.evaluation import check
+from pipeline.pool import Pool
+from pipeline.storage import Folder, locked
+
+Result = TypeVar("Result")
+
+
+def run(config: Config, pool: Pool) -> None:
+    """All stages, one after the other."""
+    seconds: dict[str, float] = {}
+
+    def timed(stage: str, work: Callable[[], Result]) -> Result:
+        began_s = time.monotonic()
+        result = work()
+        seconds[stage] = round(time.monotonic() - began_s, 1)
+        return result
+
+    check(config)
+    folder = Folder(config.output_dir)
+    with locked(folder, config.cache_dir):
+        home_set = timed("homes", lambda: homes.run(config, pool))
+        rows = timed("dataset", lambda: dataset.build(config, pool, home_set))
+        timed("train", lambda: train.train(config, rows))
+        store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
+        model = evaluate.load_model(config, store)
+        timed("evaluate", lambda: evaluate.evaluate(config, pool, home_set, store, model))
+        if config.dry_run:
+            return
+        if folder.read(report.STAGES) is None:
+            folder.write(report.STAGES, json.dumps(seconds).encode())
+        target = report.report(config)
+    total = console.duration(sum(seconds.values()))
+    console.headline(
+        "done", f"{config.experiment} in {total}; open {target / report.INDEX}, or `make dashboard` for all runs"
+    )
+
+
+if __name__ == "__main__":
+    main("pipeline.reproduce")

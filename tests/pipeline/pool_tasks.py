@@ -1,0 +1,58 @@
+"""Tasks that workers of the pool tests run; in a module, because workers import what they run."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.homes import _generate_one
+
+
+def square(item: int) -> int:
+    """The square."""
+    return item * item
+
+
+def fail_until(item: int, folder: Path, failures: int) -> int:
+    """Raises the first ``failures`` times that it is asked for an item."""
+    if _count(folder, item) <= failures:
+        raise ValueError(f"item {item} is not to my liking")
+    return item
+
+
+def die_until(item: int, folder: Path, deaths: int) -> int:
+    """Kills its process the first ``deaths`` times that it is asked for an odd item."""
+    if item % 2 and _count(folder, item) <= deaths:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def sleep(seconds: float) -> float:
+    """Takes that long."""
+    time.sleep(seconds)
+    return seconds
+
+
+def sleep_deaf(seconds: float) -> float:
+    """Takes that long, whatever signals say."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    time.sleep(seconds)
+    return seconds
+
+
+def identity_of_shared(item: int, shared: np.ndarray) -> tuple[int, int]:
+    """Process and address of a shared value."""
+    return os.getpid(), id(shared)
+
+
+def house_rooms(item: int, seed: int) -> list[str]:
+    """The rooms of a generated house: something with randomness."""
+    return [room["roomType"] for room in _generate_one(item, seed)["rooms"]]
+
+
+def _count(folder: Path, item: int) -> int:
+    with (folder / str(item)).open("a") as file:
+        file.write("x")
+        return file.tell()

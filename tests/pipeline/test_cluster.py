@@ -1,0 +1,30 @@
+"""The same rows on a cluster of several nodes, one of which is lost on the way."""
+
+import json
+import subprocess
+import sys
+
+import pandas as pd
+
+from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline.test_stages import episodes
+
+PLANNERS = (
+    "evaluation.planners=[nonlearned_myopic,tests.pipeline.own_planners.Slow]",
+    "+planner.Slow.pause_s=0.1",
+)
+
+
+def test_rows_do_not_depend_on_the_cluster_nor_on_a_lost_node(workspace: Workspace, cli: Cli) -> None:
+    overrides = [*workspace.overrides, *PLANNERS]
+    # Another process: one Ray session is all that this one can be part of.
+    command = [sys.executable, "-m", "tests.pipeline.run_on_cluster", str(workspace.path), *overrides]
+    done = subprocess.run(command, cwd=workspace.path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert (said["nodes_before"], said["nodes_after"]) == (3, 2)
+    assert 0 < said["rows_before"] < 24, "the node was lost too late to matter"
+    assert cli("evaluate", *overrides, "output_dir=outputs/no_cluster", cwd=workspace.path).code == 0
+    rows = episodes(workspace.path / "outputs" / "cluster")
+    undisturbed = episodes(workspace.path / "outputs" / "no_cluster")
+    pd.testing.assert_frame_equal(rows.drop(columns="attempt"), undisturbed.drop(columns="attempt"))

@@ -1,0 +1,120 @@
+"""Whatever happens to workers, planners or the driver: the rows of an undisturbed run, none lost, none twice."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pytest
+
+from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline.test_stages import episodes
+
+OWN = "tests.pipeline.own_planners"
+
+
+def test_a_worker_killed_in_an_episode_changes_no_row(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    planners = f"evaluation.planners=[{OWN}.Deadly,nonlearned_myopic]"
+    common = [*workspace.overrides, planners, f"+planner.Deadly.marker={tmp_path}/marker"]
+    done = cli("evaluate", *common, "output_dir=outputs/killed", cwd=workspace.path)
+    assert done.code == 0, done.err
+    killed = episodes(workspace.path / "outputs" / "killed")
+    assert sorted(killed["attempt"])[-1] >= 2
+    assert cli("evaluate", *common, "output_dir=outputs/not_killed", cwd=workspace.path).code == 0
+    undisturbed = episodes(workspace.path / "outputs" / "not_killed")
+    pd.testing.assert_frame_equal(killed.drop(columns="attempt"), undisturbed.drop(columns="attempt"))
+
+
+def test_an_episode_that_raises_is_a_row_with_its_traceback(workspace: Workspace, cli: Cli) -> None:
+    planners = f"evaluation.planners=[nonlearned_myopic,{OWN}.Faulty]"
+    common = [*workspace.overrides, planners, "output_dir=outputs/faulty", "evaluation.max_failed_fraction=1"]
+    assert cli("evaluate", *common, cwd=workspace.path).code == 0
+    rows = episodes(workspace.path / "outputs" / "faulty")
+    faulty = rows[(rows["planner"] == f"{OWN}.Faulty") & (rows["robots"] == 2)]
+    assert len(faulty) == 6 and set(faulty["status"]) == {"error"} and set(faulty["attempt"]) == {2}
+    assert faulty["error"].str.contains("this planner has a bug").all()
+    assert faulty["cost_s"].isna().all()
+    assert set(rows.drop(faulty.index)["status"]) == {"accepted"}
+    kept = cli("evaluate", *common, cwd=workspace.path)
+    assert "(unchanged, skipped)" in kept.out.splitlines()[-1]
+    again = cli("evaluate", *common, "evaluation.rerun=[error]", cwd=workspace.path)
+    assert "18 episodes are there already" in again.out
+    assert cli("report", "output_dir=outputs/faulty", cwd=workspace.path).code == 0
+
+
+def test_a_run_that_mostly_fails_is_stopped(workspace: Workspace, cli: Cli) -> None:
+    planners = f"evaluation.planners=[nonlearned_myopic,{OWN}.Faulty]"
+    stopped = cli(
+        "evaluate", *workspace.overrides, planners, "evaluation.robots=[2]", "evaluation.trials_per_cell=12",
+        "evaluation.size_classes=[small]", "output_dir=outputs/failing", cwd=workspace.path,
+    )  # fmt: skip
+    assert stopped.code == 2
+    assert "more than evaluation.max_failed_fraction=0.1" in stopped.err and "this planner has a bug" in stopped.err
+    assert len(episodes(workspace.path / "outputs" / "failing")) >= 20
+
+
+def test_an_episode_that_hangs_is_a_timeout_row(workspace: Workspace, cli: Cli) -> None:
+    hanging = cli(
+        "evaluate", *workspace.overrides, f"evaluation.planners=[{OWN}.Hanging]", "evaluation.size_classes=[small]",
+        "evaluation.trials_per_cell=1", "evaluation.episode_timeout_s=2", "output_dir=outputs/hanging",
+        cwd=workspace.path,
+    )  # fmt: skip
+    assert hanging.code == 0
+    rows = episodes(workspace.path / "outputs" / "hanging")
+    assert dict(zip(rows["robots"], rows["status"], strict=True)) == {1: "accepted", 2: "timeout"}
+
+
+@pytest.mark.parametrize(("how", "after_rows"), [(signal.SIGINT, 3), (signal.SIGKILL, 2), (signal.SIGKILL, 13)])
+def test_a_driver_stopped_in_the_middle_goes_on(
+    how: signal.Signals, after_rows: int, workspace: Workspace, cli: Cli
+) -> None:
+    common = [
+        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Slow]", "+planner.Slow.pause_s=0.1",
+    ]  # fmt: skip
+    name = f"stopped-{how.name}-{after_rows}"
+    target = workspace.path / "outputs" / name
+    command = [sys.executable, "-m", "pipeline.evaluate", *common, f"output_dir=outputs/{name}"]
+    with (workspace.path / f"{name}.err").open("w") as said_to:
+        driver = subprocess.Popen(command, cwd=workspace.path, stdout=subprocess.DEVNULL, stderr=said_to)
+    wait_for_rows(driver, target, after_rows)
+    children = [child for child in psutil.Process(driver.pid).children(recursive=True) if is_worker(child)]
+    assert children
+    driver.send_signal(how)
+    assert driver.wait(timeout=60) == (130 if how == signal.SIGINT else -how)
+    before = pd.read_parquet(target / "episodes")
+    assert after_rows <= len(before) < 24
+    if how == signal.SIGINT:
+        said = (workspace.path / f"{name}.err").read_text()
+        assert "interrupted; the same command continues from here" in said and "Traceback" not in said
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive, f"left running: {alive}"
+    resumed = cli("evaluate", *common, f"output_dir=outputs/{name}", cwd=workspace.path)
+    assert resumed.code == 0, resumed.err
+    assert cli("evaluate", *common, "output_dir=outputs/undisturbed", cwd=workspace.path).code == 0
+    rows = pd.read_parquet(target / "episodes")
+    pd.testing.assert_frame_equal(episodes(target), episodes(workspace.path / "outputs" / "undisturbed"))
+    finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
+    assert len(finished) == len(before)
+    assert (finished["planning_s"] == finished["planning_s_before"]).all(), "a finished row was run again"
+
+
+def is_worker(process: psutil.Process) -> bool:
+    """Whether it computes or holds shared memory; Ray's small agents take longer to notice that they are orphans."""
+    return process.name() == "raylet" or (process.name().startswith("ray::") and "Agent" not in process.name())
+
+
+def wait_for_rows(driver: subprocess.Popen[bytes], target: Path, count: int) -> None:
+    """Until the driver has written so many rows."""
+    end_s = time.monotonic() + 120
+    while time.monotonic() < end_s and driver.poll() is None:
+        parts = list((target / "episodes").glob("part-*.parquet"))
+        try:
+            if parts and len(pd.read_parquet(target / "episodes", columns=["trial_id"])) >= count:
+                return
+        except FileNotFoundError:  # merged in between
+            continue
+        time.sleep(0.1)
+    raise AssertionError(f"the driver ended ({driver.poll()}) or wrote nothing")

@@ -1,0 +1,252 @@
+"""The stages end to end in small: what they leave behind, what they skip, and what they refuse."""
+
+import gzip
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mlflow
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mrtask.homes.generator import generate_house
+from pipeline import artifacts, tracking
+from pipeline.results import SCHEMA
+from tests.pipeline.harness import ROOT, Cli, Workspace
+
+TIMINGS = ["planning_s", "wall_s", "peak_memory_mb"]
+HOUSES = ("homes=procthor", "homes.train=1", "homes.validation=1", "homes.test=1")
+
+
+def episodes(output_dir: Path) -> pd.DataFrame:
+    """The rows without what depends on the machine, in a fixed order."""
+    frame = pd.read_parquet(output_dir / "episodes").drop(columns=TIMINGS)
+    return frame.sort_values(["trial_id", "planner"]).reset_index(drop=True)
+
+
+def write_houses(path: Path, houses: list[Any]) -> Path:
+    text = "".join(json.dumps(house) + "\n" for house in houses)
+    path.write_bytes(gzip.compress(text.encode()) if path.suffix == ".gz" else text.encode())
+    return path
+
+
+def test_reproduce_leaves_every_result(workspace: Workspace) -> None:
+    frame = pd.read_parquet(workspace.output_dir / "episodes")
+    assert list(frame.columns) == SCHEMA.names
+    assert len(frame) == 3 * 2 * 2 * 2
+    assert not frame.duplicated(["trial_id", "planner"]).any()
+    assert set(frame["status"]) == {"accepted"}
+    assert (frame["cost_cells"] == frame["cost_s"] / 0.05).all()
+    for column in ("home_id", "template", "formula", "seed", "start_x_m"):
+        assert (frame.groupby("trial_id")[column].nunique() == 1).all(), f"planners differ in {column}"
+    page = (workspace.output_dir / "report" / "index.html").read_text()
+    assert "pouct" in page and "http://" not in page.replace("http://www.w3.org", "")
+    manifest = json.loads((workspace.output_dir / "evaluation.json").read_text())
+    assert manifest["expected_episodes"] == len(frame)
+    assert set(frame["config_hash"]) == {manifest["config_hash"]}
+    assert manifest["homes"]["reachable_share"] > 0.95
+    assert manifest["peak_memory_mb"] == pytest.approx(frame["peak_memory_mb"].max(), abs=0.1)
+    assert set(json.loads((workspace.output_dir / "stages.json").read_text())) == {
+        "homes",
+        "dataset",
+        "train",
+        "evaluate",
+    }
+
+
+def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
+    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    client = mlflow.MlflowClient()
+    runs = {run.data.tags["stage"]: run for run in client.search_runs([store.experiment_id])}
+    assert {"train", "evaluate"} <= set(runs)
+    assert runs["train"].inputs.dataset_inputs
+    version = client.get_model_version_by_alias(tracking.MODEL_NAME, "champion").version
+    assert str(version) == runs["evaluate"].data.tags["model_version"]
+    assert "pouct/small_1/cost_cells" in runs["evaluate"].data.metrics
+    assert client.list_artifacts(runs["evaluate"].info.run_id, "report")
+
+
+def test_homes_are_split_and_evaluation_homes_are_new(workspace: Workspace) -> None:
+    [folder] = (workspace.path / "datasets" / "homes").iterdir()
+    split = artifacts.read_manifest(folder)["split"]
+    assert {name: len(ids) for name, ids in split.items()} == {"train": 12, "validation": 3, "test": 9}
+    assert len(set().union(*split.values())) == 24
+    assert set(episodes(workspace.output_dir)["home_id"]) <= set(split["test"])
+
+
+def test_a_second_run_does_nothing_again(workspace: Workspace, cli: Cli) -> None:
+    before = {path: path.stat().st_mtime_ns for path in workspace.output_dir.rglob("*.*") if path.name != ".lock"}
+    again = cli("reproduce", *workspace.overrides, cwd=workspace.path)
+    assert again.code == 0
+    assert again.out.count("(unchanged, skipped)") == 5
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_same_rows_in_another_folder_and_order_of_planners(workspace: Workspace, cli: Cli) -> None:
+    overrides = [*workspace.overrides, "evaluation.planners=[pouct,nonlearned_myopic]", "output_dir=outputs/other"]
+    assert cli("evaluate", *overrides, cwd=workspace.path).code == 0
+    ignored = ["config_hash"]
+    pd.testing.assert_frame_equal(
+        episodes(workspace.path / "outputs" / "other").drop(columns=ignored),
+        episodes(workspace.output_dir).drop(columns=ignored),
+    )
+
+
+def test_a_changed_configuration_is_refused_with_the_difference(
+    workspace: Workspace, cli: Cli, copied_output: Path
+) -> None:
+    common = [*workspace.overrides, f"output_dir={copied_output}"]
+    refused = cli("evaluate", *common, "seed=7", "planner.pouct.samples=30", cwd=workspace.path)
+    assert refused.code == 2
+    assert "planner.pouct.samples: was 20, now 30" in refused.err
+    assert "seed: was 0, now 7" in refused.err
+    assert "overwrite=true" in refused.err
+    anew = [*common, "planner.pouct.samples=30", "evaluation.trials_per_cell=1", "overwrite=true"]
+    assert cli("evaluate", *anew, cwd=workspace.path).code == 0
+    assert len(episodes(copied_output)) == 3 * 2 * 2
+
+
+def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copied_output: Path) -> None:
+    whole = episodes(copied_output)
+    [part] = (copied_output / "episodes").glob("*.parquet")
+    kept = pd.read_parquet(part).iloc[::3].assign(planning_s=-1.0)
+    part.unlink()
+    pq.write_table(pa.Table.from_pandas(kept, SCHEMA, preserve_index=False), part.with_name("part-kept.parquet"))
+    done = cli("evaluate", *workspace.overrides, f"output_dir={copied_output}", cwd=workspace.path)
+    assert done.code == 0 and f"{len(kept)} episodes are there already" in done.out
+    pd.testing.assert_frame_equal(episodes(copied_output), whole)
+    assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
+
+
+def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
+    houses = [generate_house(seed, "small") for seed in range(3)]
+    write_houses(workspace.path / "others.jsonl.gz", houses)
+    done = cli(
+        "evaluate",
+        *workspace.overrides,
+        "evaluation.homes.files=[others.jsonl.gz]",
+        "evaluation.size_classes=[small]",
+        "output_dir=outputs/others",
+        cwd=workspace.path,
+    )
+    assert done.code == 0
+    assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
+
+
+def test_homes_of_the_training_are_left_out(workspace: Workspace, cli: Cli) -> None:
+    [folder] = (workspace.path / "datasets" / "homes").iterdir()
+    split = artifacts.read_manifest(folder)["split"]
+    done = cli(
+        "evaluate",
+        *workspace.overrides,
+        f"evaluation.homes.files=[{folder}/generated.jsonl.gz]",
+        "output_dir=outputs/all",
+        cwd=workspace.path,
+    )
+    assert "15 evaluation homes left out: the model has seen them in training" in done.out
+    assert set(episodes(workspace.path / "outputs" / "all")["home_id"]) <= set(split["test"])
+
+
+def test_own_formula_and_an_object_that_is_nowhere(workspace: Workspace, cli: Cli) -> None:
+    done = cli(
+        "evaluate",
+        *workspace.overrides,
+        "evaluation.formula='F Mug & F Unicorn'",
+        "evaluation.robots=[1]",
+        "output_dir=outputs/unicorn",
+        cwd=workspace.path,
+    )
+    assert done.code == 0
+    frame = episodes(workspace.path / "outputs" / "unicorn")
+    assert set(frame["status"]) == {"failed"}
+    assert frame["cost_s"].isna().all()
+    assert frame["error"].str.contains("Unicorn").all()
+    assert set(frame["formula"]) == {"F Mug & F Unicorn"}
+    report = cli("report", "output_dir=outputs/unicorn", cwd=workspace.path)
+    assert report.code == 0
+
+
+def test_dry_run_tells_the_time_and_writes_nothing(workspace: Workspace, cli: Cli) -> None:
+    done = cli("evaluate", *workspace.overrides, "--dry-run", "output_dir=outputs/dry", cwd=workspace.path)
+    assert done.code == 0
+    assert "24 episodes" in done.out and "nothing was written" in done.out
+    assert [path.name for path in (workspace.path / "outputs" / "dry").iterdir()] == [".lock"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["evaluation.formula='F Mug & (F'"], ["F Mug & (F", "^"]),
+        (["evaluation.formula='G Mug'"], ["G Mug", "^"]),
+        (["evaluation.homes.files=[nowhere.jsonl]"], ["evaluation.homes.files: no such file", "nowhere.jsonl"]),
+        (["evaluation.planners=[pouct,best]"], ["unknown planner 'best'", "nonlearned_myopic"]),
+        (["planner.pouct.samples=-1"], ["samples must be at least 1"]),
+        (["evaluation.robot=[1]"], ["evaluation.robot: no such key", "did you mean robots?"]),
+        (["homes=procthor11k"], ["homes/procthor11k", "procthor10k"]),
+        (["output_dir=file/run"], ["cannot write", "output_dir"]),
+        (["evaluation.model_uri=models:/container-object-likelihood/99"], ["container-object-likelihood/99"]),
+        (["tracking.uri=sqlite:///empty.db"], ["champion", "python -m pipeline.train"]),
+        (["homes.test=1"], ["homes to evaluate on|home to evaluate on", "evaluation.size_classes"]),
+    ],
+)
+def test_evaluate_refuses_bad_input(workspace: Workspace, cli: Cli, overrides: list[str], said: list[str]) -> None:
+    (workspace.path / "file").touch()
+    done = cli("evaluate", *workspace.overrides, "output_dir=outputs/bad", *overrides, cwd=workspace.path)
+    assert done.code == 2
+    assert "Traceback" not in done.err
+    for part in said:
+        assert any(choice in done.err for choice in part.split("|")), done.err
+    assert not (workspace.path / "outputs" / "bad" / "episodes").exists()
+
+
+def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None:
+    houses = [generate_house(seed, "small") for seed in range(3)]
+    whole = write_houses(tmp_path / "good.jsonl.gz", houses)
+    (tmp_path / "cut.jsonl.gz").write_bytes(whole.read_bytes()[:-500])
+    bare = [dict(house, objects=[]) for house in houses]
+    write_houses(tmp_path / "bare.jsonl", bare)
+    write_houses(tmp_path / "other.jsonl", [{"name": "no house"}])
+    (tmp_path / "text.jsonl").write_text("hello\n")
+    for name, said in [
+        ("gone.jsonl", ["no such file", "gone.jsonl"]),
+        ("cut.jsonl.gz", ["cut.jsonl.gz"]),
+        ("bare.jsonl", ["bare.jsonl, home 0", "no container"]),
+        ("other.jsonl", ["other.jsonl, home 0", "rooms"]),
+        ("text.jsonl", ["text.jsonl, home 0"]),
+    ]:
+        done = cli("homes", *HOUSES, f"homes.files=[{name}]")
+        assert done.code == 2, name
+        assert "Traceback" not in done.err
+        for part in said:
+            assert part in done.err
+    assert cli("homes", *HOUSES, "homes.files=[good.jsonl.gz]").code == 0
+    few = cli("homes", *HOUSES, "homes.files=[good.jsonl.gz]", "homes.train=5")
+    assert few.code == 2
+    assert "7 homes are asked for" in few.err and "homes.train" in few.err
+
+
+def test_report_without_episodes_is_refused(cli: Cli) -> None:
+    done = cli("report", "output_dir=empty")
+    assert done.code == 2
+    assert "no finished evaluation in empty; run python -m pipeline.evaluate" in done.err
+
+
+def test_a_real_process_ends_with_one_message_and_no_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pipeline.evaluate", "evaluation.robots=[0]"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == "error: evaluation.robots.0=0: must be at least 1\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_says_what_the_stage_does(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pipeline.train", "--help"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "Trains the model" in done.stdout and "python -m pipeline.train" in done.stdout
+    assert "trials_per_cell: 100" in done.stdout
+    assert str(ROOT) not in done.stdout

@@ -1,0 +1,157 @@
+"""The project as a whole: what it installs, what its layers may know, what its Makefile promises."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PINS = dict(
+    line.split("==")
+    for line in (ROOT / "constraints.txt").read_text().splitlines()
+    if line and not line.startswith("#")
+)
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def run(*command: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
+    everything = os.environ | environment
+    return subprocess.run(command, cwd=cwd, env=everything, capture_output=True, text=True, timeout=300)
+
+
+def test_every_package_is_installed_and_no_other() -> None:
+    on_disk = {
+        ".".join(path.parent.relative_to(ROOT).parts)
+        for top in ("mrtask", "pipeline")
+        for path in (ROOT / top).rglob("__init__.py")
+    }
+    assert set(PYPROJECT["tool"]["setuptools"]["packages"]) == on_disk
+
+
+def test_every_data_file_of_the_library_is_installed() -> None:
+    patterns = PYPROJECT["tool"]["setuptools"]["package-data"]["*"]
+    data = [path for path in (ROOT / "mrtask").rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")]
+    data = [path for path in data if path.suffix not in (".nbi", ".nbc")]
+    assert data
+    assert [path for path in data if not any(path.match(pattern) for pattern in patterns)] == []
+
+
+def test_every_dependency_is_pinned_to_one_version_of_no_special_build() -> None:
+    project = PYPROJECT["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    names = {canonical(re.split(r"[<>=\[ ]", requirement)[0]) for requirement in wanted}
+    assert names <= {canonical(name) for name in PINS}
+    assert all(re.fullmatch(r"[0-9][0-9a-z.]*", version) for version in PINS.values())
+    assert PINS["torch"] == "2.13.0"
+
+
+def test_layers_and_tools_are_where_they_belong() -> None:
+    done = run(str(Path(sys.executable).with_name("lint-imports")))
+    assert done.returncode == 0, done.stdout
+    assert "4 kept, 0 broken" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("statement", "broken"),
+    [
+        ("mrtask/homes: import mrtask.planning", "the library's layers"),
+        ("mrtask/maps: import mlflow", "the library knows nothing"),
+        ("pipeline: import ray", "only pipeline.pool knows ray"),
+        ("pipeline: import mlflow", "only pipeline.tracking"),
+    ],
+)
+def test_a_forbidden_import_is_noticed(statement: str, broken: str, tmp_path: Path) -> None:
+    for top in ("mrtask", "pipeline"):
+        for path in (ROOT / top).rglob("*.py"):
+            copy = tmp_path / path.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
+    folder, _, line = statement.partition(": ")
+    (tmp_path / folder / "smuggler.py").write_text(f"{line}\n")
+    done = run(
+        str(Path(sys.executable).with_name("lint-imports")), "--no-cache", cwd=tmp_path, PYTHONPATH=str(tmp_path)
+    )
+    assert done.returncode == 1
+    [verdict] = [line for line in done.stdout.splitlines() if line.startswith(broken) and line.endswith("BROKEN")]
+    assert verdict
+
+
+def test_the_data_folder_is_no_package_and_disturbs_no_library() -> None:
+    assert not list((ROOT / "datasets").rglob("*.py"))
+    done = run(sys.executable, "-c", "import sentence_transformers; print(sentence_transformers.__version__)")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == PINS["sentence-transformers"]
+
+
+class FakePython:
+    """Stands in for Python, so that the Makefile's installation can be watched without one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.log = folder / "calls"
+        self.venv = folder / "venv"
+        self.path = folder / "python"
+        self.path.write_text(
+            f"""#!/bin/sh
+echo "$@" >> {self.log}
+case "$*" in
+  "-c "*) exit ${{FAKE_TOO_OLD:-0}} ;;
+  "--version") echo Python 3.8.1 ;;
+  "-m venv"*) mkdir -p {self.venv}/bin && cp "$0" {self.venv}/bin/python ;;
+  *--editable*) exit ${{FAKE_INSTALL:-0}} ;;
+esac
+"""
+        )
+        self.path.chmod(0o755)
+
+    def make(self, **environment: str) -> subprocess.CompletedProcess[str]:
+        """``make install`` with it; the log holds the calls of this time only."""
+        self.log.write_text("")
+        return run("make", "install", f"PYTHON={self.path}", f"VENV={self.venv}", **environment)
+
+    @property
+    def installs(self) -> int:
+        """How often the package was installed."""
+        return self.log.read_text().count("--editable")
+
+
+@pytest.fixture
+def fake_python(tmp_path: Path) -> FakePython:
+    return FakePython(tmp_path)
+
+
+def test_installation_happens_once(fake_python: FakePython) -> None:
+    first = fake_python.make()
+    assert first.returncode == 0, first.stderr
+    assert "-m venv" in fake_python.log.read_text() and fake_python.installs == 1
+    assert fake_python.make().returncode == 0
+    assert fake_python.log.read_text() == ""
+
+
+def test_an_interrupted_installation_is_made_up_for(fake_python: FakePython) -> None:
+    broken = fake_python.make(FAKE_INSTALL="1")
+    assert broken.returncode != 0
+    assert "the installation failed" in broken.stderr
+    assert fake_python.make().returncode == 0
+    assert fake_python.installs == 1
+
+
+def test_an_old_python_is_refused_with_what_to_do(fake_python: FakePython) -> None:
+    refused = fake_python.make(FAKE_TOO_OLD="1")
+    assert refused.returncode != 0
+    assert "needs Python 3.11 or newer; found: Python 3.8.1" in refused.stderr
+    assert "make install PYTHON=" in refused.stderr
+    assert not fake_python.venv.exists()
+
+
+def test_readme_and_ci_run_the_same_tests() -> None:
+    assert "make test" in (ROOT / "README.md").read_text()
+    assert "make test" in (ROOT / ".ci" / "run").read_text().splitlines()
