@@ -228,7 +228,10 @@ def _type_facts(
         }
         if on_floor:
             for name, counts in (("back_at_wall", back), ("in_corner", corner)):
-                entry[name] = [round(counts[kind, half] / max(total[kind, half], 1), 2) for half in (False, True)]
+                entry[name] = [
+                    round(sum(counts[kind, half] for half in halves) / sum(total[kind, half] for half in halves), 2)
+                    for halves in ([half] if total[kind, half] else [False, True] for half in (False, True))
+                ]
         entry["size_m"] = [max(side, 0.01) for side in entry["size_m"]]
         facts[kind] = entry
     return facts

@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 import shapely
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.draw import polygon as cells_inside
 
-from mrtask.homes.catalogue import CONTAINER_TYPES, Catalogue, Size
+from mrtask.homes.catalogue import CONTAINER_TYPES, Catalogue, Size, is_larger
 from mrtask.homes.home import Point, Polygon
 
 RASTER_M = 0.05
@@ -146,6 +145,7 @@ def furnish_room(
     facts = catalogue.rooms[room_type]
     floor = _Floor(outline, doors)
     area_class = int(np.searchsorted(facts["area_classes_m2"], floor.shape.area, side="right"))
+    larger = is_larger(floor.shape.area, facts["area_classes_m2"])
     wanted = [
         kind for kind, per_class in facts["furniture"].items() for _ in range(_draw_count(per_class[area_class], rng))
     ]
@@ -153,9 +153,13 @@ def furnish_room(
     order = np.argsort(-np.array(bulk) * np.exp(ORDER_NOISE * rng.standard_normal(len(wanted))), kind="stable")
     pieces: list[Piece] = []
     for kind in (wanted[index] for index in order):
-        for _ in range(ASSETS_TRIED):
+        where = rng.random()
+        for attempt in range(ASSETS_TRIED):
             asset_id, size_m = _draw_asset(catalogue, kind, rng)
-            places = _draw_places(floor, catalogue.types[kind], kind, size_m, rng)
+            where = where if attempt < ASSETS_TRIED / 2 else rng.random()
+            in_corner, back_at_wall = (catalogue.types[kind][name][larger] for name in ("in_corner", "back_at_wall"))
+            corner, wall = where < in_corner, where < back_at_wall
+            places = _draw_places(floor, kind, size_m, wall, corner, rng)
             if (placed := _place(floor, kind, asset_id, size_m, places)) is not None:
                 break
         else:
@@ -177,24 +181,23 @@ def _draw_asset(catalogue: Catalogue, kind: str, rng: np.random.Generator) -> tu
     return asset_id, catalogue.assets[asset_id].size_m
 
 
-def _draw_places(floor: _Floor, facts: dict[str, Any], kind: str, size_m: Size, rng: np.random.Generator) -> _Places:
-    """Places in the catalogue's mixture of corner, wall and open floor; pieces stand with their back to the wall."""
+def _draw_places(floor: _Floor, kind: str, size_m: Size, wall: bool, corner: bool, rng: np.random.Generator) -> _Places:
+    """Places in corners, along walls or on the open floor; pieces stand with their back to the wall."""
     corners = np.array(floor.outline)
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(*sides.T)
     along = sides / lengths[:, None]
     inward = np.stack([along[:, 1], -along[:, 0]], axis=1)
     room_along = np.maximum(lengths - size_m.x - 2 * WALL_GAP_M, 0.0)
-    chance = rng.random()
     low_x, low_y, high_x, high_y = floor.shape.bounds
-    if chance >= facts["back_at_wall"] or not room_along.any():
+    if not wall or not room_along.any():
         centers = rng.uniform((low_x, low_y), (high_x, high_y), size=(PLACES_DRAWN, 2))
         turns = rng.uniform(0, 360, PLACES_DRAWN)
         if kind not in TURNED_FREELY:
             turns = np.floor(turns / 90) * 90
         return _Places(centers, turns)
     side = rng.choice(len(lengths), size=PLACES_DRAWN, p=room_along / room_along.sum())
-    share = rng.integers(2, size=PLACES_DRAWN) if chance < facts["in_corner"] else rng.random(PLACES_DRAWN)
+    share = rng.integers(2, size=PLACES_DRAWN) if corner else rng.random(PLACES_DRAWN)
     distance = WALL_GAP_M + size_m.x / 2 + share * room_along[side]
     off_wall = inward[side] * (WALL_GAP_M + size_m.z / 2)
     centers = corners[side] + along[side] * distance[:, None] + off_wall
