@@ -81,9 +81,7 @@ def main() -> None:
     if arguments.seeds > 1:
         print("spread over seeds (standard deviation)")
         print(table[list(METRICS)].std().dropna().round(5).to_string())
-    print(
-        f"lowest log loss possible on these test homes: {trained.metrics['test']['best_log_loss']:.4f} ({len(best)} triples)"
-    )
+    print(f"lowest log loss possible on these test homes: {trained.metrics['test']['best_log_loss']:.4f}")
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
 

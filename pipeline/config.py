@@ -80,7 +80,6 @@ class Procthor10kHomes(_Homes):
 
     source: Literal["procthor10k"]
     test: Positive | None
-    assets: LocalPath | None
 
 
 Homes = GeneratedHomes | ProcthorHomes | Procthor10kHomes
@@ -183,6 +182,7 @@ class Config(_Section):
     output_dir: Location
     overwrite: bool
     dry_run: bool
+    draw: bool
     datasets_dir: LocalPath
     cache_dir: LocalPath
     cache_limit_gb: float = Field(gt=0)

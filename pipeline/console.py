@@ -76,7 +76,8 @@ class Progress:
         rate = (self._done - self._before) / (time.monotonic() - self._start_s)
         left = f", {duration((self._total - self._done) / rate)} left" if rate > 0 else ""
         note = f", {self._note}" if self._note else ""
-        return f"{self._done}/{self._total} {self._unit}, {rate:.2g}/s{left}{note}"
+        speed = f"{rate:.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
+        return f"{self._done}/{self._total} {self._unit}, {speed}{left}{note}"
 
     def __enter__(self) -> "Progress":
         return self

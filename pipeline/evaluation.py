@@ -82,7 +82,6 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
         },
     )
     facts |= {
-        "training": len(model.training_homes),
         "read": len(found),
         "evaluated": len(unseen),
         "by_size_class": counts,

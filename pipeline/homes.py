@@ -1,10 +1,11 @@
 """Makes or reads the homes and splits them into training, validation and test homes by content.
 
 Generated homes go to ``<datasets_dir>/homes`` in ProcTHOR's own schema, so that they are read like anybody's. Homes of
-your own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json
+your own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json; draw=true draws floor plans.
 """
 
 import hashlib
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,19 +14,27 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from mrtask.execution.trials import key_seed
+from mrtask.homes.download import DownloadError, fetch_procthor10k
 from mrtask.homes.generator import generate_house, write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import read_houses
 from mrtask.homes.split import split_homes
+from mrtask.maps.cache import cached_map
+from mrtask.maps.draw import draw_home
 from pipeline import artifacts, console
 from pipeline.app import main
 from pipeline.config import Config, GeneratedHomes, ProcthorHomes, UserError, content_hash
 from pipeline.pool import Pool
+from pipeline.storage import Folder
 from pipeline.version import code_version, source_hash
 
 SPLITS = ("train", "validation", "test")
 GENERATED_FILE = "generated.jsonl.gz"
+DRAWN_PER_CLASS = 4
+PROCTHOR_10K_ASSETS = "asset-database.json"
 
 
 @dataclass(frozen=True)
@@ -48,7 +57,15 @@ class HomeSet:
 
 
 def run(config: Config, pool: Pool) -> HomeSet:
-    """The stage: generates or checks the homes, unless that was done before."""
+    """The stage: generates or checks the homes, unless that was done before, and draws some with ``draw=true``."""
+    found = prepare(config, pool)
+    if config.draw:
+        draw(config, found)
+    return found
+
+
+def prepare(config: Config, pool: Pool) -> HomeSet:
+    """The homes, generated or checked unless that was done before."""
     options, began_s = config.homes, time.monotonic()
     inputs = options.model_dump(mode="json", exclude={"files", "assets"}) | {"code": source_hash("mrtask/homes")}
     if isinstance(options, GeneratedHomes):
@@ -78,6 +95,25 @@ def run(config: Config, pool: Pool) -> HomeSet:
     console.line(describe(found.manifest))
     console.result(shown(folder), time.monotonic() - began_s)
     return found
+
+
+def draw(config: Config, found: HomeSet) -> None:
+    """Floor plans of some homes of each size class as PNG and SVG, in ``<output_dir>/homes``."""
+    began_s = time.monotonic()
+    target = Folder(config.output_dir) / "homes"
+    homes = read_homes(found.files, found.assets)
+    picked = [home for name in SIZE_CLASSES for home in [h for h in homes if h.size_class == name][:DRAWN_PER_CLASS]]
+    console.headline("drawing", f"{len(picked)} homes")
+    with console.Progress(len(picked), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
+        for home in picked:
+            figure = Figure(figsize=(8, 8), layout="constrained")
+            home_map = cached_map(home, config.cache_dir / "maps", config.map.resolution_m, config.map.robot_radius_m)
+            draw_home(home, home_map, figure.subplots())
+            for kind in ("png", "svg"):
+                figure.savefig(Path(temporary) / f"{home.size_class}-{home.id}.{kind}", dpi=150)
+            progress.update()
+        target.upload(Path(temporary))
+    console.result(target, time.monotonic() - began_s)
 
 
 @lru_cache(maxsize=4)
@@ -150,11 +186,14 @@ def _generate_one(number: int, seed: int) -> dict[str, Any]:
 def _given_files(config: Config) -> tuple[tuple[Path, ...], Path | None]:
     options = config.homes
     if isinstance(options, ProcthorHomes):
-        files, assets = options.files, options.assets
-    else:
-        raise UserError("homes=procthor10k is not available yet")
-    check_files(files, assets, "homes")
-    return files, assets
+        check_files(options.files, options.assets, "homes")
+        return options.files, options.assets
+    try:
+        fetched = fetch_procthor10k(config.datasets_dir / "procthor10k", progress=True)
+    except DownloadError as error:
+        raise UserError(f"homes=procthor10k: {error}") from error
+    assets = fetched.pop(PROCTHOR_10K_ASSETS)
+    return tuple(fetched.values()), assets
 
 
 def check_files(files: Sequence[Path], assets: Path | None, key: str) -> None:

@@ -56,6 +56,7 @@ SCHEMA = pa.schema(
         ("trace", pa.string()),
     ]
 )
+SORTED_BY = [("trial_id", "ascending"), ("planner", "ascending")]
 _REPLACES = b"replaces"
 
 Row = Mapping[str, Any]
@@ -93,7 +94,8 @@ class EpisodeWriter:
     def flush(self) -> None:
         """Writes what is pending."""
         if self._pending:
-            self._small.append(_write(self._folder, "part", pa.Table.from_pylist(self._pending, schema=SCHEMA)))
+            table = pa.Table.from_pylist(self._pending, schema=SCHEMA).sort_by(SORTED_BY)
+            self._small.append(_write(self._folder, "part", table))
             self._pending = []
         self._flushed_s = time.monotonic()
         if len(self._small) >= MERGE_PARTS:
@@ -107,7 +109,7 @@ class EpisodeWriter:
 
     def _merge(self) -> None:
         table = pa.concat_tables(_read_part(self._folder, name) for name in self._small)
-        name = self._replace(self._small, table.sort_by([("trial_id", "ascending"), ("planner", "ascending")]))
+        name = self._replace(self._small, table.sort_by(SORTED_BY))
         self._small = [] if table.num_rows >= FULL_PART_ROWS else [name]
 
     def _drop(self, statuses: Collection[str]) -> None:

@@ -132,7 +132,7 @@ def _open(overrides: list[str]) -> _Sweep:
     for cell in batch:
         try:
             composed = loader.load_configuration(CONFIG_NAME, cell, run_mode=RunMode.RUN)
-            keys = [key for key in composed if key != "hydra"]
+            keys = [str(key) for key in composed if key != "hydra"]
             configs.append(schema.load(OmegaConf.masked_copy(composed, keys)))
         except Exception as error:
             problems.append(f"cell {_text(cell, swept)}: {error}")

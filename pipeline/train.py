@@ -60,6 +60,7 @@ def train(config: Config, rows_folder: Path) -> dict[str, Any]:
         tracking.log_dataset(run_, data, rows_folder)
         trained = _train(config, options, data, run_)
         frequency = score(FrequencyModel(data.triples("train"), options.smoothing), data.triples("test"))
+        tracking.log_training(run_, trained, data)
         console.line("registering")
         registration = tracking.register_model(run_, trained, data)
         manifest = _manifest(config, data, trained, frequency, registration) | {"run_id": run_.run_id, "key": key}

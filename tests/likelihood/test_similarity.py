@@ -92,9 +92,22 @@ def test_features_equal_a_naive_twin(model, embedding_cache):
         alike = (alike + similarity.BASE_SHARE * base) / (1 + similarity.BASE_SHARE)
         return [logit(base), logit(alike), similar(name, container), similar(name, room)]
 
-    asked = [("Apple", "Fridge", "Kitchen"), ("Carrot", "Bed", "Bedroom"), ("Book", "Sofa", "LivingRoom")]
+    asked = [("apple", "fridge", "kitchen"), ("carrot", "bed", "bedroom"), ("book", "sofa", "living room")]
     found = model._known.features(names(*asked))
     assert found == pytest.approx(np.array([twin(*row) for row in asked]), rel=1e-4)
+
+
+def test_a_name_may_be_written_in_several_ways(model, embedding_cache):
+    ways = [("AlarmClock", "Bed", "Bedroom"), ("alarm clock", "bed", "bedroom"), ("Alarm_Clock", "BED", "Bedroom")]
+    assert len(set(model.predict(names(*ways)))) == 1
+    both = pd.concat([world(["AlarmClock"]), world(["alarm clock"]), world(["Apple", "Pillow"])])
+    merged = train_similarity(both, cache_dir=embedding_cache).triples
+    assert merged["object"].nunique() == 3 and merged["count"].max() == 200
+
+
+def test_names_that_never_lie_anywhere(embedding_cache):
+    empty = world().assign(positives=0)
+    assert train_similarity(empty, cache_dir=embedding_cache).predict(empty).max() < 0.01
 
 
 def test_single_training_object_or_kind(embedding_cache):

@@ -72,7 +72,7 @@ def test_a_driver_stopped_in_the_middle_goes_on(
     how: signal.Signals, after_rows: int, workspace: Workspace, cli: Cli
 ) -> None:
     common = [
-        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Slow]", "+planner.Slow.pause_s=0.1",
+        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Slow]", "+planner.Slow.pause_s=0.25",
     ]  # fmt: skip
     name = f"stopped-{how.name}-{after_rows}"
     target = workspace.path / "outputs" / name

@@ -7,14 +7,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import mlflow
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from mrtask.homes.download import DownloadError
 from mrtask.homes.generator import generate_house
-from pipeline import artifacts, tracking
+from pipeline import artifacts, homes, tracking
 from pipeline.results import SCHEMA
 from tests.pipeline.harness import ROOT, Cli, Workspace
 
@@ -151,6 +153,21 @@ def test_homes_of_the_training_are_left_out(workspace: Workspace, cli: Cli) -> N
     assert set(episodes(workspace.path / "outputs" / "all")["home_id"]) <= set(split["test"])
 
 
+def test_results_in_a_store_behind_a_url(workspace: Workspace, cli: Cli) -> None:
+    url = "output_dir=memory://bucket/run"
+    assert cli("evaluate", *workspace.overrides, url, cwd=workspace.path).code == 0
+    again = cli("evaluate", *workspace.overrides, url, cwd=workspace.path)
+    assert "memory://bucket/run/episodes (unchanged, skipped)" in again.out
+    assert cli("report", *workspace.overrides, url, cwd=workspace.path).code == 0
+    store = fsspec.filesystem("memory")
+    [part] = store.glob("/bucket/run/episodes/*.parquet")
+    with store.open(part) as file:
+        rows = pd.read_parquet(file).drop(columns=TIMINGS)
+    pd.testing.assert_frame_equal(rows, episodes(workspace.output_dir))
+    assert store.exists("/bucket/run/report/index.html")
+    assert not (workspace.path / "memory:").exists()
+
+
 def test_own_formula_and_an_object_that_is_nowhere(workspace: Workspace, cli: Cli) -> None:
     done = cli(
         "evaluate",
@@ -173,7 +190,7 @@ def test_own_formula_and_an_object_that_is_nowhere(workspace: Workspace, cli: Cl
 def test_dry_run_tells_the_time_and_writes_nothing(workspace: Workspace, cli: Cli) -> None:
     done = cli("evaluate", *workspace.overrides, "--dry-run", "output_dir=outputs/dry", cwd=workspace.path)
     assert done.code == 0
-    assert "24 episodes" in done.out and "nothing was written" in done.out
+    assert "24 episodes" in done.out and "no episode was written" in done.out
     assert [path.name for path in (workspace.path / "outputs" / "dry").iterdir()] == [".lock"]
 
 
@@ -229,6 +246,15 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     assert "7 homes are asked for" in few.err and "homes.train" in few.err
 
 
+def test_floor_plans_are_drawn(workspace: Workspace, cli: Cli) -> None:
+    done = cli("homes", *workspace.overrides, "draw=true", "output_dir=outputs/drawn", cwd=workspace.path)
+    assert done.code == 0
+    drawn = sorted(path.name for path in (workspace.path / "outputs" / "drawn" / "homes").iterdir())
+    assert len(drawn) == 24
+    assert {name.partition("-")[0] for name in drawn} == {"small", "medium", "large"}
+    assert {name.partition(".")[2] for name in drawn} == {"png", "svg"}
+
+
 def test_report_without_episodes_is_refused(cli: Cli) -> None:
     done = cli("report", "output_dir=empty")
     assert done.code == 2
@@ -250,3 +276,26 @@ def test_help_says_what_the_stage_does(tmp_path: Path) -> None:
     assert "Trains the model" in done.stdout and "python -m pipeline.train" in done.stdout
     assert "trials_per_cell: 100" in done.stdout
     assert str(ROOT) not in done.stdout
+
+
+def test_procthor10k_without_a_network_says_so(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    def offline(*arguments: Any, **options: Any) -> None:
+        raise DownloadError("train.jsonl.gz: cannot be reached; connect to the internet, or use homes=generated")
+
+    monkeypatch.setattr(homes, "fetch_procthor10k", offline)
+    done = cli("homes", "homes=procthor10k")
+    assert done.code == 2
+    assert done.err.startswith("error: homes=procthor10k: train.jsonl.gz: cannot be reached")
+
+
+def test_procthor10k_is_read_from_what_was_downloaded(
+    cli: Cli, tmp_path: Path, shared_homes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fetched(folder: Path, progress: bool) -> dict[str, Path]:
+        names = ["procthor-4to10room.jsonl.gz", "asset-database.json"]
+        return {name: shared_homes / name for name in names}
+
+    monkeypatch.setattr(homes, "fetch_procthor10k", fetched)
+    done = cli("homes", "homes=procthor10k", "homes.train=50", "homes.validation=5", "homes.test=20")
+    assert done.code == 0
+    assert "75 homes (4 small, 21 medium, 50 large)" in done.out
