@@ -26,7 +26,7 @@ from mrtask.likelihood.dataset import DatasetError
 from mrtask.likelihood.model import ModelError
 from mrtask.tasks.formula import FormulaError
 from pipeline import config as schema
-from pipeline import sweep
+from pipeline import interrupt, sweep
 from pipeline.cache import default_cache_dir
 from pipeline.config import Cluster, UserError
 from pipeline.pool import Pool
@@ -41,11 +41,12 @@ def main(module_name: str) -> None:
     """Runs the module's ``run(config, workers)`` with the configuration from the command line."""
     _prepare_process(module_name)
     try:
-        hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
+        with interrupt.remembered():
+            hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(_fail(error))
-    except KeyboardInterrupt as interrupt:
-        sweep.interrupted(interrupt)
+    except KeyboardInterrupt as stop:
+        sweep.interrupted(stop)
         print("\ninterrupted; the same command continues from here", file=sys.stderr)
         sys.exit(INTERRUPT_EXIT)
 

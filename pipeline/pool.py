@@ -23,6 +23,7 @@ os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 import ray
 from ray.exceptions import GetTimeoutError, RayError, RayTaskError
 
+from pipeline import interrupt
 from pipeline.config import Cluster, UserError
 
 OBJECT_STORE_BYTES = 512 * 2**20
@@ -116,6 +117,7 @@ class Pool:
         in_flight: dict[Any, _Task[Item]] = {}
         try:
             while True:
+                interrupt.check()
                 while len(in_flight) < slots * IN_FLIGHT_PER_SLOT and (task := _next(again, source)) is not None:
                     in_flight[call.remote(function, task.item, references, timeout_s)] = task
                 if not in_flight:

@@ -13,7 +13,7 @@ from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.network import EpochMetrics, NetworkOptions
 from mrtask.likelihood.training import TrainedModel, TrainingOptions, score, train_model
-from pipeline import artifacts, console, dataset, tracking
+from pipeline import artifacts, console, dataset, interrupt, tracking
 from pipeline.app import main
 from pipeline.config import Config, content_hash
 from pipeline.pool import Pool
@@ -77,6 +77,7 @@ def _train(config: Config, options: TrainingOptions, data: Dataset, run: trackin
     with console.Progress(config.trainer.max_epochs, "epochs (at most)") as progress:
 
         def on_epoch(epoch: int, metrics: EpochMetrics) -> None:
+            interrupt.check()
             tracking.log_metrics(run, metrics, step=epoch)
             progress.update(note=f"validation log loss {metrics['validation_loss']:.4f}")
 

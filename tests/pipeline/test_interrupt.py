@@ -1,0 +1,33 @@
+"""An interrupt that Python drops stops the next loop all the same."""
+
+import os
+import signal
+
+import pytest
+
+from pipeline import interrupt
+from pipeline.config import Cluster
+from pipeline.pool import Pool
+from tests.pipeline import pool_tasks as tasks
+
+
+class Finalized:
+    """Gets its interrupt where Python cannot raise it."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_dropped_interrupt_is_raised_at_the_next_check(ray_session: None) -> None:
+    with interrupt.remembered():
+        interrupt.check()
+        Finalized()
+        with pytest.raises(KeyboardInterrupt):
+            interrupt.check()
+        cluster = Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=0)
+        with Pool(cluster) as pool, pytest.raises(KeyboardInterrupt):
+            list(pool.run(tasks.square, range(3)))
+    with interrupt.remembered():
+        interrupt.check()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
