@@ -35,5 +35,6 @@ def trim(folder: Path, limit_bytes: float) -> int:
 
 
 if __name__ == "__main__":
-    shutil.rmtree(default_cache_dir(), ignore_errors=True)
+    if default_cache_dir().exists():
+        shutil.rmtree(default_cache_dir())
     print(f"removed {default_cache_dir()}")

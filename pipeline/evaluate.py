@@ -4,7 +4,6 @@ Interrupted or run again with the same output_dir, it goes on where it stopped: 
 configuration is refused there (overwrite=true starts anew). dry_run=true says how long it would take.
 """
 
-import contextlib
 import json
 import platform
 import statistics
@@ -173,8 +172,10 @@ def _warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
     """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
     for name, key in {key.planner: key for key in reversed(missing)}.items():
         if name in PLANNERS:
-            with contextlib.suppress(Exception):  # the worker will say in the episode's row what is wrong
+            try:
                 warm(key, context)
+            except Exception as error:  # the run goes on: its episodes will be rows of status error
+                console.line(f"{name} failed on {key.trial_id} already in the driver: {error}")
 
 
 def _pilot(config: Config, pool: Pool, evaluation: Evaluation) -> None:

@@ -241,8 +241,11 @@ def register_model(run: Run, trained: TrainedModel, dataset: Dataset) -> Registr
     info = _log_model(trained, dataset)
     client = mlflow.MlflowClient()
     with FileLock(run.tracking.lock_path, timeout=_LOCK_TIMEOUT_S):
-        with contextlib.suppress(MlflowException):
+        try:
             client.create_registered_model(MODEL_NAME, description=_DESCRIPTION)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                raise
         version = client.create_model_version(
             MODEL_NAME, info.model_uri, run.run_id, model_id=info.model_id, tags={"kind": trained.model.kind}
         ).version

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCE_SUFFIXES = {".py", ".yaml", ".toml", ".json", ".csv"}
+SOURCE_SUFFIXES = {".py", ".yaml", ".toml", ".json", ".csv", ".jinja"}
 
 
 @cache

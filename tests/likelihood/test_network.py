@@ -56,7 +56,7 @@ def test_shape_is_the_papers():
 
 
 def test_loss_and_gradient_of_counts_equal_those_of_single_rows(problem):
-    """In evaluation mode; in training, batch norm sees each triple once instead of each row."""
+    """And so does the expectation of a draw in proportion to the counts, which is what training takes."""
     features, triples, _, _ = problem
     module = build_module(6, (16, 8), seed=0).eval()
     inputs = torch.from_numpy(features)
@@ -70,6 +70,10 @@ def test_loss_and_gradient_of_counts_equal_those_of_single_rows(problem):
     gradients = [torch.autograd.grad(loss, list(module.parameters())) for loss in (by_count, by_row)]
     for one, other in zip(*gradients, strict=True):
         assert torch.allclose(one, other, atol=1e-6, rtol=1e-4)
+    drawn = torch.stack(
+        [weighted_loss(module(inputs[[i]])[0], positives[i] / count[i], count.new_ones(1)) for i in range(80)]
+    )
+    assert (drawn * count / count.sum()).sum().item() == pytest.approx(by_row.item(), rel=1e-5)
 
 
 def test_learns_what_can_be_learnt(problem):
@@ -145,12 +149,6 @@ def test_without_validation_homes_it_trains_to_the_end(problem):
     features, triples, _, _ = problem
     _, history = train_network(features, triples, features[:0], triples[:0], replace(SMALL, max_epochs=4, patience=1))
     assert len(history) == 4 and np.isnan(history[0]["validation_loss"])
-
-
-def test_a_last_batch_of_one_row_is_no_trouble(problem):
-    features, triples, _, _ = problem
-    _, history = train_network(features[:33], triples[:33], features[:0], triples[:0], replace(SMALL, max_epochs=2))
-    assert all(np.isfinite(entry["train_loss"]) for entry in history)
 
 
 def test_leaves_random_state_and_threads_alone(problem):

@@ -9,7 +9,7 @@ from mrtask.likelihood.dataset import build_dataset
 from mrtask.likelihood.network import NetworkOptions
 from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, score_unseen, train_model
 
-NETWORK = NetworkOptions(layers=(32, 16), max_epochs=60, patience=60, batch_size=8, device="cpu", threads=1)
+NETWORK = NetworkOptions(layers=(32, 16), max_epochs=150, patience=150, batch_size=64, device="cpu", threads=1)
 
 
 @pytest.mark.parametrize("kind", MODEL_KINDS)
