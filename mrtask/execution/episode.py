@@ -80,7 +80,7 @@ def run_episode(
         planning_s += perf_counter() - began_s
         decisions += 1
         samples += plan.info.samples
-        simulation.assign(plan.assignments, redirect=planner.reassigns_all)
+        simulation.assign(plan.assignments)
         if not simulation.advance():
             missing = simulation.missing()
             error = (

@@ -74,6 +74,8 @@ class Simulation:
         self._robots = [_Robot(self._start) for _ in range(robots)]
         self._letters: list[Letter] = []
         self._decide_again = False
+        self._news = False
+        """Whether anything was learned or done since the last decision."""
 
     @property
     def accepted(self) -> bool:
@@ -91,27 +93,29 @@ class Simulation:
             robots=tuple(self._status(robot) for robot in self._robots),
             search_time_s=self.search_time_s,
             interact_time_s=self.interact_time_s,
+            may_redirect=self._news,
         )
 
-    def assign(self, assignments: Mapping[int, Assignment], *, redirect: bool) -> None:
-        """Gives robots new assignments; robots under way take them only with ``redirect``.
+    def assign(self, assignments: Mapping[int, Assignment]) -> None:
+        """Gives robots new assignments; robots under way take them only where the problem said so.
 
         Raises:
-            ValueError: a free robot without assignment, a busy robot with one, an unreachable container, or an
-                interaction that could never succeed.
+            ValueError: a free robot without assignment, a busy robot with one, a robot under way redirected although
+                nothing was learned, or an unreachable container.
         """
         for index, robot in enumerate(self._robots):
             if robot.mode == "free" and index not in assignments:
                 raise ValueError(f"the planner left free robot {index} without an assignment; `WAIT` is one")
         for index, assignment in assignments.items():
             robot = self._robots[index]
-            if robot.mode != "free" and not (redirect and robot.mode == "move"):
+            if robot.mode != "free" and not (self._news and robot.mode == "move"):
                 raise ValueError(f"robot {index} is busy ({robot.mode}) and cannot take {assignment}")
             if robot.mode == "move" and assignment.container == robot.assignment.container:
                 robot.assignment = assignment
             else:
                 self._start_action(robot, assignment)
         letters = len(self._letters)
+        self._news = False
         self._settle()
         self._decide_again = len(self._letters) > letters
 
@@ -203,6 +207,7 @@ class Simulation:
     def _reveal(self, robot: _Robot) -> None:
         if not self.searched[robot.place]:
             self.searched[robot.place] = True
+            self._news = True
             self.presence_prob[robot.place] = self.truth[robot.place]
         self._close_leg(robot, kind="search")
         robot.mode, robot.until_s = "settling", self.time_s
@@ -246,6 +251,7 @@ class Simulation:
             robot = next(robot for robot in due if robot.obj == obj)
             place = self.home.containers[robot.place].id
             self.state = int(self.automaton.transitions[self.state, obj])
+            self._news = True
             self._letters.append(
                 Letter(self.time_s, self._robots.index(robot), self.automaton.propositions[obj], place)
             )

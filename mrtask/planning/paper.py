@@ -47,8 +47,6 @@ class PaperOptions:
 class PaperPouct:
     """The paper's search planner; see the module."""
 
-    reassigns_all = False
-
     def __init__(self, options: PaperOptions) -> None:
         self.options = options
 

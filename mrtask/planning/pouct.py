@@ -76,7 +76,6 @@ class Pouct:
 
     def __init__(self, options: PouctOptions) -> None:
         self.options = options
-        self.reassigns_all = options.reassign == "all"
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -88,7 +87,7 @@ class Pouct:
         if problem.automaton.accepting[problem.state]:
             return Plan({index: Assignment(WAIT) for index, robot in enumerate(problem.robots) if robot.free})
         options = self.options
-        model, root, cache, skip = prepare(problem, options.later_weight, self.reassigns_all)
+        model, root, cache, skip = prepare(problem, options.later_weight, options.reassign == "all")
         nodes = min(options.samples + 1, options.max_nodes)
         tree = _empty_tree(nodes)
         kernel.make_root(model, root, tree, cache, skip)
@@ -116,8 +115,6 @@ class Pouct:
 
 class Greedy:
     """The rollout's policy: at each decision the least travel time over probability of advancing, over all pairs."""
-
-    reassigns_all = True
 
     def __init__(self, later_weight: float = PouctOptions.later_weight) -> None:
         self._later_weight = later_weight
@@ -183,7 +180,7 @@ def prepare(
             root.mode[index] = kernel.SEARCHING if robot.interacting < 0 else kernel.INTERACTING
             root.doing[index] = robot.interacting
         root.targeted[root.place[index]] += 1
-        if reassign_all and robot.target >= 0:
+        if reassign_all and problem.may_redirect and robot.target >= 0:
             kernel.reconsider(root, index)
     rows = min(CACHED_ROWS, len(automaton.accepting) << objects)
     cache = kernel.Usefulness(np.full(rows, kernel.NONE, dtype=np.int64), np.empty((rows, containers)))

@@ -38,8 +38,8 @@ class Assignment(NamedTuple):
 class RobotStatus:
     """Where one robot is and what it does.
 
-    A *free* robot needs an assignment. A robot *under way* (``target >= 0``) may be redirected by planners that
-    reassign all robots. Any other robot is *busy* searching or interacting at ``place`` for ``remaining_s`` more.
+    A *free* robot needs an assignment. A robot *under way* (``target >= 0``) may be redirected where the problem says
+    so. Any other robot is *busy* searching or interacting at ``place`` for ``remaining_s`` more.
     """
 
     travel_s: FloatArray
@@ -73,6 +73,9 @@ class PlanningProblem:
     robots: tuple[RobotStatus, ...]
     search_time_s: float = 0.0
     interact_time_s: float = 0.0
+    may_redirect: bool = True
+    """Whether robots under way may be redirected now: only after something was learned, or a team between two equally
+    good places would turn round at every arrival and never get anywhere."""
 
     def __post_init__(self) -> None:
         containers, objects = self.presence_prob.shape
@@ -123,12 +126,10 @@ class Plan:
 
 
 class Planner(Protocol):
-    """Decides who goes where next. ``reassigns_all`` also puts robots under way up for decision."""
-
-    reassigns_all: bool
+    """Decides who goes where next."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Assigns all free robots (and, with ``reassigns_all``, any robot under way); equal input, equal plan."""
+        """Assigns all free robots and, where the problem allows it, any robot under way; equal input, equal plan."""
         ...
 
 

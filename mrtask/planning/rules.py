@@ -27,8 +27,6 @@ Shortlist = Callable[[PlanningProblem, BoolArray, int], BoolArray]
 class MyopicPlanner:
     """A rule of the paper: ``shortlist`` says which unsearched containers the free robots divide among them."""
 
-    reassigns_all = False
-
     def __init__(self, shortlist: Shortlist) -> None:
         self._shortlist = shortlist
 

@@ -12,8 +12,6 @@ from mrtask.planning.rules import nonlearned_myopic
 class Slow:
     """The non-learned baseline with a pause before each plan."""
 
-    reassigns_all = False
-
     def __init__(self, pause_s: float = 0.0) -> None:
         self._pause_s = pause_s
         self._rule = nonlearned_myopic()
