@@ -27,8 +27,8 @@ WAIT = -1
 NONE = -1
 WAIT_RANK = 2
 """Waiting is tried after this many containers at a tree node."""
-LOCATED_AFTER_M = 1e-9
-"""Score of a place at distance 0, so that likelihood decides between containers at no distance."""
+LEAST_TRAVEL_S = 1e-9
+"""Travel times count at least this much, so that likelihood decides between containers at no distance."""
 SAME_INSTANT_S = 1e-9
 
 
@@ -205,7 +205,7 @@ def _score(model: Model, world: World, inverse: F8, fetching: int, ahead: bool, 
             return np.inf
     if weight == np.inf:
         return np.inf
-    return max(_distance_s(model, world, r, c), LOCATED_AFTER_M) * weight
+    return max(_distance_s(model, world, r, c), LEAST_TRAVEL_S) * weight
 
 
 @compiled
@@ -243,7 +243,7 @@ def _best_action(
             c = _nearest_holding(model, world, r, obj)
             nearer = model.steps[model.transitions[z, obj]] < model.steps[z]
             if c != NONE:
-                score = max(_distance_s(model, world, r, c), LOCATED_AFTER_M) * (1.0 if nearer else 1e3)
+                score = max(_distance_s(model, world, r, c), LEAST_TRAVEL_S) * (1.0 if nearer else 1e3)
                 if score < best_score:
                     best, best_score = containers + obj, score
         named >>= 1
