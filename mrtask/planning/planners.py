@@ -8,8 +8,9 @@ import inspect
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
+from mrtask.planning.greedy import Greedy
 from mrtask.planning.paper import PaperOptions, PaperPouct
-from mrtask.planning.pouct import Greedy, Known, Pouct, PouctOptions
+from mrtask.planning.pouct import Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner
 from mrtask.planning.rules import learned_myopic, nonlearned_myopic
 

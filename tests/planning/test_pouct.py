@@ -5,8 +5,8 @@ import pytest
 
 from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
-from mrtask.planning.pouct import prepare
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
+from mrtask.planning.team import team_model
 from mrtask.tasks.templates import TEMPLATES
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import make_problem, random_problem
@@ -37,7 +37,7 @@ def test_pouct_finds_the_exact_optimum(template, robots, containers, seconds):
         search_time_s=seconds[0],
         interact_time_s=seconds[1],
     )
-    solver = ExactSolver(problem, prepare(problem, 0.3, True)[0].prob)
+    solver = ExactSolver(problem, team_model(problem).prob)
     optimum_s = solver.optimum()
     plan = make_planner("pouct", {"samples": 100_000, "exploration": 1.5, "widening_exponent": 0.5}).plan(
         problem, seed=1
@@ -50,7 +50,7 @@ def test_more_samples_err_less():
     errors = {10: [], 10_000: []}
     for seed in range(12):
         problem = random_problem(seed, template="and2", robots=1, containers=4)
-        solver = ExactSolver(problem, prepare(problem, 0.3, True)[0].prob)
+        solver = ExactSolver(problem, team_model(problem).prob)
         optimum_s = solver.optimum()
         for samples, seen in errors.items():
             plan = make_planner("pouct", {"samples": samples, "exploration": 2.0}).plan(problem, seed)
@@ -192,7 +192,7 @@ def test_a_robot_goes_on_searching_when_waiting_costs_more():
     problem = make_problem("(!b U a) & F b", ["a", "b"], points, [[-5, 0], [0, 0]], prob, searched=[0])
     plan = make_planner("pouct", {"samples": 3000}).plan(problem, seed=0)
     assert plan.assignments[1].container == 2
-    solver = ExactSolver(problem, prepare(problem, 0.3, True)[0].prob)
+    solver = ExactSolver(problem, team_model(problem).prob)
     assert solver.value({0: 1, 1: 2}) < solver.value({0: 1, 1: WAIT})
 
 
@@ -242,5 +242,5 @@ def test_unknown_planners_are_refused_with_the_known_ones():
 
 
 def test_a_planner_of_ones_own_is_named_by_its_import_path():
-    planner = make_planner("mrtask.planning.pouct.Greedy", {"later_weight": 0.5})
+    planner = make_planner("mrtask.planning.greedy.Greedy", {"later_weight": 0.5})
     assert planner.plan(random_problem(1, robots=2, containers=4), 0).assignments.keys() == {0, 1}

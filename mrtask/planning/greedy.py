@@ -1,0 +1,53 @@
+"""`greedy`: the rollout's policy by itself, the strong cheap baseline. See `mrtask.planning.greedy_kernel`."""
+
+import numpy as np
+
+from mrtask.planning import greedy_kernel as kernel
+from mrtask.planning.problem import Assignment, Plan, PlanningProblem
+from mrtask.planning.team import assignment_begun, root_world, team_model
+from mrtask.planning.team_kernel import NONE, Model, World
+
+LATER_WEIGHT = 0.3
+"""What finding an object that is needed later counts against finding one that advances the task now."""
+CACHED_ROWS = 4096
+
+
+class Greedy:
+    """At each decision the least travel time over probability of advancing, over all pairs of robot and action."""
+
+    def __init__(self, later_weight: float = LATER_WEIGHT) -> None:
+        check_later_weight(later_weight)
+        self._later_weight = later_weight
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Assigns all robots; the rule draws nothing, so ``seed`` does not matter."""
+        model = team_model(problem)
+        root = root_world(problem, model, reassign_all=True)
+        return Plan(assign_greedily(model, root, policy(problem, self._later_weight)))
+
+
+def check_later_weight(later_weight: float) -> None:
+    """Raises ValueError unless the weight is in (0, 1]."""
+    if not 0 < later_weight <= 1:
+        raise ValueError(f"later_weight must be in (0, 1], not {later_weight}")
+
+
+def policy(problem: PlanningProblem, later_weight: float) -> kernel.Greedy:
+    """The policy's parameter, with an empty cache and scratch space."""
+    containers, objects = problem.presence_prob.shape
+    rows = min(CACHED_ROWS, len(problem.automaton.accepting) << objects)
+    return kernel.Greedy(
+        later_weight=later_weight,
+        tag=np.full(rows, NONE, dtype=np.int64),
+        inverse=np.empty((rows, containers)),
+        skip=np.zeros(containers + objects, dtype=np.uint8),
+        action=np.empty(len(problem.robots), dtype=np.int32),
+        score=np.empty(len(problem.robots)),
+    )
+
+
+def assign_greedily(model: Model, world: World, greedy: kernel.Greedy) -> dict[int, Assignment]:
+    """Lets all undecided robots of a world begin their greedy actions."""
+    deciders = np.flatnonzero(world.undecided)
+    kernel.assign(model, world, greedy)
+    return {int(robot): assignment_begun(world, int(robot)) for robot in deciders}

@@ -1,0 +1,229 @@
+"""The greedy policy: least travel time over the probability of advancing, for the robot and action where it is least.
+
+It is a planner by itself (`greedy`), finishes the task from each leaf of `pouct`'s tree, and gives the order in which
+actions enter that tree.
+
+Legend: R robots, C containers, O objects. Sets of objects are bit masks.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.planning.compiled import compiled
+from mrtask.planning.team_kernel import (
+    DECIDE,
+    INTERACTING,
+    MOVING,
+    NONE,
+    Model,
+    World,
+    act,
+    advance,
+    distance_s,
+    nearest_holding,
+)
+
+F8 = NDArray[np.float64]
+I4 = NDArray[np.int32]
+I8 = NDArray[np.int64]
+U1 = NDArray[np.uint8]
+U8 = NDArray[np.uint64]
+
+LEAST_TRAVEL_S = 1e-9
+"""Travel times count at least this much, so that likelihood decides between containers at no distance."""
+DETOUR_FACTOR = 1e3
+"""Interactions that may hurt and lead no nearer to acceptance come after all others."""
+
+
+class Greedy(NamedTuple):
+    """The policy's one parameter, a direct-mapped cache of what searches are worth, and scratch space.
+
+    A container's worth is kept as 1 / (weighted probability that a search finds something), by state and found objects.
+    """
+
+    later_weight: float  # what finding an object for later counts against finding one for now
+    tag: I8  # [K] key of the cached row, NONE if empty
+    inverse: F8  # [K, C] inf where a search is useless
+    skip: U1  # [C + O] actions to pass over: zeros between calls
+    action: I4  # [R] best actions of undecided robots, NONE (to wait) if there is none
+    score: F8  # [R] their scores
+
+
+@compiled
+def _inverse_prob(model: Model, world: World, greedy: Greedy) -> int:
+    """The row of ``greedy.inverse`` for what a world knows, filled if need be."""
+    objects = model.prob.shape[1]
+    z, found = world.state[0], world.state[1]
+    key = (z << objects) | found
+    row = key % greedy.tag.size
+    if greedy.tag[row] == key:
+        return row
+    greedy.tag[row] = key
+    now = model.advancing[z] & ~found
+    later = model.needed[z] & ~found & ~now
+    for c in range(model.prob.shape[0]):
+        missed = 1.0
+        for o in range(objects):
+            if (now >> o) & 1:
+                missed *= 1.0 - model.prob[c, o]
+            elif (later >> o) & 1:
+                missed *= 1.0 - greedy.later_weight * model.prob[c, o]
+        greedy.inverse[row, c] = 1.0 / (1.0 - missed) if missed < 1.0 else np.inf
+    return row
+
+
+@compiled
+def _fetching(model: Model, world: World) -> int:
+    """Mask of the objects that robots are on their way to, or busy with, at places known to hold them."""
+    mask = 0
+    for r in range(world.mode.size):
+        if world.mode[r] == INTERACTING:
+            mask |= 1 << world.doing[r]
+        elif world.mode[r] == MOVING and world.undecided[r] == 0 and world.searched[world.place[r]]:
+            mask |= world.holds[world.place[r]]
+    return mask
+
+
+@compiled
+def _all_fetched(model: Model, world: World, fetching: int) -> bool:
+    """Whether every object that advances the task now is being fetched, so that others may prepare for later."""
+    return (model.advancing[world.state[0]] & ~fetching) == 0
+
+
+@compiled
+def _stands_ready(model: Model, world: World, r: int) -> bool:
+    """Whether a robot stands where an object is that is needed later."""
+    place = world.place[r]
+    if world.mode[r] == MOVING or place == NONE or world.searched[place] == 0:
+        return False
+    z = world.state[0]
+    return (world.holds[place] & model.needed[z] & ~model.advancing[z]) != 0
+
+
+@compiled
+def _score(model: Model, world: World, greedy: Greedy, row: int, fetching: int, ahead: bool, r: int, c: int) -> float:
+    """Travel time over the probability of advancing: the lower the better, inf for a container of no use now.
+
+    A place known to hold an object for later counts only with ``ahead``, and not for a robot that is at one already.
+    """
+    if world.targeted[c] > 0:
+        return np.inf
+    if world.searched[c] == 0:
+        weight = greedy.inverse[row, c]
+    else:
+        z = world.state[0]
+        useful = world.holds[c] & model.needed[z]
+        if useful & model.safe[z] & ~fetching:
+            weight = 1.0
+        elif ahead and useful & ~model.advancing[z] and not _stands_ready(model, world, r):
+            weight = 1.0 / greedy.later_weight
+        else:
+            return np.inf
+    if weight == np.inf:
+        return np.inf
+    return max(distance_s(model, world, r, c), LEAST_TRAVEL_S) * weight
+
+
+@compiled
+def _best(
+    model: Model, world: World, greedy: Greedy, row: int, fetching: int, ahead: bool, r: int
+) -> tuple[int, float]:
+    """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none."""
+    containers = world.searched.size
+    best, best_score = NONE, np.inf
+    for early in range(2):  # with nothing to do now, be where an object is that is needed later
+        for c in range(containers):
+            if greedy.skip[c] == 0:
+                score = _score(model, world, greedy, row, fetching, ahead or early == 1, r, c)
+                if score < best_score:
+                    best, best_score = c, score
+        if best != NONE or ahead:
+            break
+    z = world.state[0]
+    named = model.advancing[z] & ~model.safe[z] & world.state[1] & ~fetching
+    obj = 0
+    while named:
+        if named & 1 and greedy.skip[containers + obj] == 0:
+            c = nearest_holding(model, world, r, obj)
+            nearer = model.steps[model.transitions[z, obj]] < model.steps[z]
+            if c != NONE:
+                factor = 1.0 if nearer else DETOUR_FACTOR
+                score = max(distance_s(model, world, r, c), LEAST_TRAVEL_S) * factor
+                if score < best_score:
+                    best, best_score = containers + obj, score
+        named >>= 1
+        obj += 1
+    return best, best_score
+
+
+@compiled
+def next_action(model: Model, world: World, greedy: Greedy, r: int) -> int:
+    """A robot's best action that is not in ``greedy.skip``: NONE if there is none.
+
+    Last comes what the policy leaves out: being early, or going where another robot goes too.
+    """
+    row = _inverse_prob(model, world, greedy)
+    fetching = _fetching(model, world)
+    action, _ = _best(model, world, greedy, row, fetching, _all_fetched(model, world, fetching), r)
+    if action == NONE:
+        action, _ = _best(model, world, greedy, row, 0, True, r)
+    return action
+
+
+@compiled
+def _least(world: World, greedy: Greedy) -> int:
+    """The undecided robot of least ``greedy.score``; NONE if nobody is undecided."""
+    chosen = NONE
+    for r in range(world.mode.size):
+        if world.undecided[r] and (chosen == NONE or greedy.score[r] < greedy.score[chosen]):
+            chosen = r
+    return chosen
+
+
+@compiled
+def _look_round(model: Model, world: World, greedy: Greedy, row: int) -> None:
+    """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots."""
+    fetching = _fetching(model, world)
+    ahead = _all_fetched(model, world, fetching)
+    for r in range(world.mode.size):
+        if world.undecided[r]:
+            greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
+
+
+@compiled
+def first_to_decide(model: Model, world: World, greedy: Greedy) -> int:
+    """The undecided robot whose best action scores least; NONE if nobody is undecided."""
+    _look_round(model, world, greedy, _inverse_prob(model, world, greedy))
+    return _least(world, greedy)
+
+
+@compiled
+def assign(model: Model, world: World, greedy: Greedy) -> None:
+    """Lets all undecided robots begin actions, each time the robot and action of least score over all."""
+    row = _inverse_prob(model, world, greedy)
+    _look_round(model, world, greedy, row)
+    robot = _least(world, greedy)
+    while robot != NONE:
+        act(model, world, robot, greedy.action[robot])
+        place = world.place[robot]
+        if world.mode[robot] == MOVING and world.searched[place]:  # an object is being fetched now
+            _look_round(model, world, greedy, row)
+        elif world.mode[robot] == MOVING:  # only who wanted to go there must look again
+            fetching = _fetching(model, world)
+            ahead = _all_fetched(model, world, fetching)
+            for r in range(world.mode.size):
+                if world.undecided[r] and greedy.action[r] == place:
+                    greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
+        robot = _least(world, greedy)
+
+
+@compiled
+def rollout(model: Model, world: World, greedy: Greedy, rng: U8) -> int:
+    """Finishes the task greedily: DONE or STUCK."""
+    while True:
+        assign(model, world, greedy)
+        outcome = advance(model, world, rng)
+        if outcome != DECIDE:
+            return outcome
