@@ -1,0 +1,214 @@
+"""`pouct` in plain Python: what its kernels must equal sample by sample, given the same random numbers.
+
+How a team's actions unfold is taken from the exact solver, with contents drawn instead of enumerated. The greedy policy
+looks at every pair of robot and action again whenever it chooses; the tree is made of objects.
+"""
+
+from dataclasses import dataclass, field
+from math import inf, log, prod, sqrt
+
+from tests.planning.exact_solver import WAIT, ExactSolver
+from tests.planning.naive_random import SplitMix64
+
+
+@dataclass
+class Node:
+    robot: int
+    visits: int = 0
+    edges: list = field(default_factory=list)
+
+
+@dataclass
+class Edge:
+    action: object  # container, WAIT or (container, object): see `NaivePouct.label`
+    costs: list = field(default_factory=list)
+    children: dict = field(default_factory=dict)
+
+
+class NaivePouct(ExactSolver):
+    def __init__(self, problem, prob, seed, options):
+        super().__init__(problem, prob, options.reassign == "all")
+        self.random = SplitMix64(seed)
+        self.options = options
+        self.costs = []
+        self.most = min(options.samples + 1, options.max_nodes)  # nodes, and as many edges
+        self.nodes, self.edges = 1, 0
+        self.tree = Node(self.first_to_decide(self.root))
+
+    def run(self, samples):
+        for _ in range(samples):
+            self.sample()
+        return self.tree
+
+    def sample(self):
+        state, node, path = self.root, self.tree, []
+        spread = self.spread()
+        while True:
+            edge = self.select(state, node, spread)
+            node.visits += 1
+            if edge is None:
+                state = self.rollout(state)
+                break
+            path.append(edge)
+            before = state
+            state = self._act(state, node.robot, self.resolve(state, node.robot, edge.action))
+            observed = None
+            if not state.undecided:
+                state, done = self.unfold(state)
+                observed = tuple(after for now, after in zip(before.held, state.held, strict=True) if now is None)
+                if done:
+                    break
+            if observed not in edge.children:
+                if self.nodes < self.most:
+                    edge.children[observed] = Node(self.first_to_decide(state))
+                    self.nodes += 1
+                state = self.rollout(state)
+                break
+            node = edge.children[observed]
+        cost = state.clock
+        self.costs.append(cost)
+        for edge in path:
+            edge.costs.append(cost)
+
+    def spread(self):
+        if len(self.costs) < 2:
+            return 1.0
+        mean = sum(self.costs) / len(self.costs)
+        return sqrt(sum((cost - mean) ** 2 for cost in self.costs) / len(self.costs))
+
+    def select(self, state, node, spread):
+        options = self.options
+        if not node.edges or len(node.edges) < options.widening_factor * node.visits**options.widening_exponent:
+            action = self.next_action(state, node)
+            if action is not None and self.edges < self.most:
+                self.edges += 1
+                node.edges.append(Edge(action))
+                return node.edges[-1]
+
+        def bound(edge):
+            radius = options.exploration * spread * sqrt(log(node.visits + 1) / len(edge.costs))
+            return sum(edge.costs) / len(edge.costs) - radius
+
+        return min(reversed(node.edges), key=bound, default=None)
+
+    def next_action(self, state, node):
+        tried = {edge.action for edge in node.edges}
+        wait_now = WAIT not in tried and any(
+            index in state.undecided or robot.action is not None
+            for index, robot in enumerate(state.robots)
+            if index != node.robot
+        )
+        if wait_now and len(tried) >= 2:
+            return WAIT
+        fetched = self.being_fetched(state)
+        for fetching, ahead in ((fetched, self.nothing_left(state, fetched)), (frozenset(), True)):
+            action, _ = self.best(state, node.robot, fetching, ahead, tried)
+            if action is not None:
+                return action
+        return WAIT if wait_now or not tried else None
+
+    def rollout(self, state):
+        while True:
+            while state.undecided:
+                robot, action = self.greedy(state)
+                state = self._act(state, robot, self.resolve(state, robot, action))
+            state, done = self.unfold(state)
+            if done:
+                return state
+
+    def first_to_decide(self, state):
+        return self.greedy(state)[0]
+
+    def greedy(self, state):
+        """The robot and action of least score over all; waiting where nothing is of use."""
+        fetching = self.being_fetched(state)
+        ahead = self.nothing_left(state, fetching)
+        scored = [(r, *self.best(state, r, fetching, ahead, ())) for r in sorted(state.undecided)]
+        robot, action, _ = min(scored, key=lambda choice: choice[2])
+        return robot, WAIT if action is None else action
+
+    def best(self, state, r, fetching, ahead, tried):
+        """(action, score) of the least score among the actions not tried; (None, inf) if there is none."""
+        scored = []
+        for early in (ahead,) if ahead else (False, True):
+            for c in range(len(state.held)):
+                score = self.score(state, r, c, fetching, early)
+                if c not in tried and score < inf:
+                    scored.append((score, c))
+            if scored:
+                break
+        for o in sorted((self.advancing[state.z] - self.safe[state.z]) & state.found - fetching):
+            distance = self._distance(state, r, self.nearest_holding(state, r, o))
+            if ("named", o) not in tried and distance < inf:
+                nearer = self.steps[self.delta[state.z, o]] < self.steps[state.z]
+                scored.append((max(distance, 1e-9) * (1.0 if nearer else 1e3), ("named", o)))
+        score, action = min(scored, key=lambda entry: entry[0], default=(inf, None))
+        return action, score
+
+    def score(self, state, r, c, fetching, early):
+        if any(
+            i not in state.undecided and x.action is not None and x.action[0] == c for i, x in enumerate(state.robots)
+        ):
+            return inf
+        needed, advancing = self.needed[state.z], self.advancing[state.z]
+        distance = max(self._distance(state, r, c), 1e-9)
+        if state.held[c] is None:
+            weights = {o: 1.0 if o in advancing else self.options.later_weight for o in needed - state.found}
+            helps = 1 - prod(1 - weight * self.prob[c][o] for o, weight in weights.items())
+            return distance / helps if helps > 0 else inf
+        useful = state.held[c] & needed
+        if useful & self.safe[state.z] - fetching:
+            return distance
+        if early and useful - advancing and not self.stands_ready(state, r):
+            return distance / self.options.later_weight
+        return inf
+
+    def being_fetched(self, state):
+        """Objects that robots are busy with, or on their way to, where they are known to be."""
+        mask = frozenset()
+        for index, robot in enumerate(state.robots):
+            if robot.action is None:
+                continue
+            if robot.busy not in (None, "search"):
+                mask |= {robot.busy}
+            elif robot.moving and index not in state.undecided:
+                mask |= state.held[robot.action[0]] or frozenset()
+        return mask
+
+    def nothing_left(self, state, fetching):
+        return self.advancing[state.z] <= fetching
+
+    def stands_ready(self, state, r):
+        robot = state.robots[r]
+        if robot.moving or robot.place is None or state.held[robot.place] is None:
+            return False
+        return bool(state.held[robot.place] & self.needed[state.z] - self.advancing[state.z])
+
+    def nearest_holding(self, state, r, o):
+        places = [c for c, held in enumerate(state.held) if held and o in held]
+        return min(places, key=lambda c: self._distance(state, r, c))
+
+    def resolve(self, state, r, action):
+        """An action in the exact solver's terms: ("named", object) becomes (nearest place, object)."""
+        return (self.nearest_holding(state, r, action[1]), action[1]) if isinstance(action, tuple) else action
+
+    def unfold(self, state):
+        """(state, done) at the next decision instant, contents drawn."""
+        [(_, state, done)] = self._advance(state, freed=False, news=False)
+        return state, done
+
+    def _contents(self, state, container):
+        """One draw in place of the distribution: per object, in order, given that it exists somewhere."""
+        held = set()
+        for o in sorted(self.needed[state.z]):
+            exists = 1.0
+            if o not in state.found:
+                exists -= prod(1 - self.prob[c][o] for c, seen in enumerate(state.held) if seen is None)
+            if self.random.unit() * exists < self.prob[container][o]:
+                held.add(o)
+        yield 1.0, frozenset(held)
+
+
+def label(action, containers):
+    """A naive action as the kernel numbers it."""
+    return containers + action[1] if isinstance(action, tuple) else action

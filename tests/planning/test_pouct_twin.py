@@ -1,0 +1,83 @@
+"""The compiled search against its plain-Python twin, value for value."""
+
+import numpy as np
+import pytest
+
+from mrtask.planning import pouct
+from mrtask.planning.compiled import random_unit
+from mrtask.planning.greedy import Greedy
+from mrtask.planning.pouct import Pouct, PouctOptions
+from mrtask.planning.problem import ANY_SAFE, WAIT
+from mrtask.planning.team import team_model
+from mrtask.tasks.templates import TEMPLATES
+from tests.planning.naive_pouct import NaivePouct, label
+from tests.planning.naive_random import SplitMix64
+from tests.planning.problems import random_problem
+
+CASES = [
+    (template, robots, containers, seconds)
+    for template in TEMPLATES
+    for robots, containers in ((1, 7), (2, 5), (3, 6))
+    for seconds in ((0.0, 0.0), (1.0, 2.0))
+]
+
+
+def test_random_numbers_equal_the_twins():
+    rng, twin = np.array([123456789], dtype=np.uint64), SplitMix64(123456789)
+    for _ in range(1000):
+        assert random_unit(rng) == twin.unit()
+
+
+def compare(problem, seed, options, monkeypatch):
+    monkeypatch.setattr(pouct, "_is_settled", lambda *arguments: False)
+    plan = Pouct(options).plan(problem, seed)
+    naive = NaivePouct(problem, team_model(problem).prob, seed, options)
+    tree = naive.run(options.samples)
+    containers = len(problem.searched)
+    seen = {action: (visits, mean_s) for action, visits, mean_s, _ in plan.info.root}
+    expected = {
+        label(edge.action, containers): (len(edge.costs), pytest.approx(np.mean(edge.costs), rel=1e-9))
+        for edge in tree.edges
+    }
+    assert seen == expected
+    assert plan.info.tree_nodes == naive.nodes
+    return naive
+
+
+@pytest.mark.parametrize(("template", "robots", "containers", "seconds"), CASES)
+def test_every_sample_of_pouct_equals_the_twins(template, robots, containers, seconds, monkeypatch):
+    seed = CASES.index((template, robots, containers, seconds))
+    problem = random_problem(
+        seed,
+        template=template,
+        robots=robots,
+        containers=containers,
+        search_time_s=seconds[0],
+        interact_time_s=seconds[1],
+    )
+    compare(problem, seed, PouctOptions(samples=200), monkeypatch)
+
+
+def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):
+    options = PouctOptions(
+        samples=300, max_nodes=40, exploration=0.4, widening_factor=2.0, widening_exponent=0.5, later_weight=0.7
+    )
+    naive = compare(random_problem(5, template="or_seq", robots=2, containers=6), 9, options, monkeypatch)
+    assert naive.nodes == 40
+
+
+@pytest.mark.parametrize(("template", "robots"), [(template, robots) for template in TEMPLATES for robots in (1, 2, 4)])
+def test_greedy_equals_the_twins(template, robots):
+    for seed in range(5):
+        problem = random_problem(seed, template=template, robots=robots, containers=6)
+        naive = NaivePouct(problem, team_model(problem).prob, 0, PouctOptions())
+        state, expected = naive.root, {}
+        while state.undecided:
+            robot, action = naive.greedy(state)
+            expected[robot] = action
+            state = naive._act(state, robot, naive.resolve(state, robot, action))
+        plan = Greedy().plan(problem, seed=0)
+        assert {
+            robot: assignment.container if assignment.interaction == ANY_SAFE else WAIT
+            for robot, assignment in plan.assignments.items()
+        } == expected
