@@ -38,7 +38,7 @@ class SearchOptions:
     time_limit_s: float | None = None
     """Stop earlier after this many seconds; plans then depend on the machine."""
     exploration: float = 1.0
-    """UCB1's constant, in standard deviations of the cost at the root."""
+    """UCB1's constant, in standard deviations of the cost at the root (the largest while the search went on)."""
     max_nodes: int = 1_000_000
     """The tree stops growing there; further samples only refine it."""
 
@@ -69,7 +69,7 @@ class Tree(NamedTuple):
     total_s: F8  # [M] their summed costs
     squares: F8  # [M] their summed squared costs
     path: I4  # [DEEPEST_PATH] edges of the sample under way
-    moments: F8  # [3] number, mean and summed squared deviation of all samples' costs (Welford)
+    moments: F8  # [4] number, mean, summed squared deviation (Welford) of all costs, largest standard deviation so far
 
 
 def empty_tree(options: SearchOptions) -> Tree:
@@ -94,7 +94,7 @@ def empty_tree(options: SearchOptions) -> Tree:
         total_s=np.empty(nodes),
         squares=np.empty(nodes),
         path=np.empty(DEEPEST_PATH, dtype=np.int32),
-        moments=np.zeros(3),
+        moments=np.zeros(4),
     )
 
 
@@ -162,9 +162,12 @@ def attach(tree: Tree, edge: int, node: int) -> None:
 
 @compiled
 def least_bound(tree: Tree, node: int, exploration: float) -> int:
-    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
-    moments = tree.moments
-    spread_s = np.sqrt(moments[2] / moments[0]) if moments[0] > 1 else 1.0
+    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge.
+
+    The scale of costs is their largest standard deviation so far. The present one would fall while the search settles
+    on one action, faster than the logarithm grows, and end exploration for good.
+    """
+    spread_s = tree.moments[3] if tree.moments[0] > 1 else 1.0
     log_visits = np.log(tree.visits[node] + 1.0)
     best, best_bound = NONE, np.inf
     edge = tree.first_edge[node]
@@ -185,6 +188,7 @@ def back_up(tree: Tree, depth: int, cost_s: float) -> None:
     delta = cost_s - moments[1]
     moments[1] += delta / moments[0]
     moments[2] += delta * (cost_s - moments[1])
+    moments[3] = max(moments[3], np.sqrt(moments[2] / moments[0]))
     for step in range(depth):
         edge = tree.path[step]
         tree.tries[edge] += 1

@@ -7,6 +7,8 @@ looks at every pair of robot and action again whenever it chooses; the tree is m
 from dataclasses import dataclass, field
 from math import inf, log, prod, sqrt
 
+import numpy as np
+
 from tests.planning.exact_solver import WAIT, ExactSolver
 from tests.planning.naive_random import SplitMix64
 
@@ -30,7 +32,7 @@ class NaivePouct(ExactSolver):
         super().__init__(problem, prob, options.reassign == "all")
         self.random = SplitMix64(seed)
         self.options = options
-        self.costs = []
+        self.costs, self.spreads, self.spread = [], [0.0], 1.0
         self.most = min(options.samples + 1, options.max_nodes)  # nodes, and as many edges
         self.nodes, self.edges = 1, 0
         self.tree = Node(self.first_to_decide(self.root))
@@ -42,9 +44,8 @@ class NaivePouct(ExactSolver):
 
     def sample(self):
         state, node, path = self.root, self.tree, []
-        spread = self.spread()
         while True:
-            edge = self.select(state, node, spread)
+            edge = self.select(state, node)
             node.visits += 1
             if edge is None:
                 state = self.rollout(state)
@@ -67,16 +68,13 @@ class NaivePouct(ExactSolver):
             node = edge.children[observed]
         cost = state.clock
         self.costs.append(cost)
+        if len(self.costs) > 1:
+            self.spreads.append(float(np.std(self.costs)))
+            self.spread = max(self.spreads)
         for edge in path:
             edge.costs.append(cost)
 
-    def spread(self):
-        if len(self.costs) < 2:
-            return 1.0
-        mean = sum(self.costs) / len(self.costs)
-        return sqrt(sum((cost - mean) ** 2 for cost in self.costs) / len(self.costs))
-
-    def select(self, state, node, spread):
+    def select(self, state, node):
         options = self.options
         if not node.edges or len(node.edges) < options.widening_factor * node.visits**options.widening_exponent:
             action = self.next_action(state, node)
@@ -86,7 +84,7 @@ class NaivePouct(ExactSolver):
                 return node.edges[-1]
 
         def bound(edge):
-            radius = options.exploration * spread * sqrt(log(node.visits + 1) / len(edge.costs))
+            radius = options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
             return sum(edge.costs) / len(edge.costs) - radius
 
         return min(reversed(node.edges), key=bound, default=None)
