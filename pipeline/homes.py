@@ -24,7 +24,8 @@ from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.homes.split import split_homes
 from mrtask.maps.cache import cached_map
-from mrtask.maps.draw import draw_home
+from mrtask.maps.draw import draw_gallery, draw_home
+from mrtask.maps.home_map import HomeMap
 from mrtask.maps.ros_map import read_map_worlds
 from pipeline import artifacts, console
 from pipeline.app import main
@@ -44,6 +45,7 @@ from pipeline.version import code_version, source_hash
 SPLITS = ("train", "validation", "test")
 GENERATED_FILE = "generated.jsonl.gz"
 DRAWN_PER_CLASS = 4
+GALLERY = "gallery"
 FAULTS_LISTED = 20
 SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
 GENERATED_KEYS = {"seed", "train", "validation", "test"}
@@ -214,23 +216,34 @@ def prepare(config: Config, pool: Pool) -> HomeSet:
 
 
 def draw(config: Config, found: HomeSet) -> None:
-    """Floor plans of some homes of each size class as PNG and SVG, in ``<output_dir>/homes``."""
+    """Floor plans of some homes of each size class as PNG and SVG, and a gallery of them, in ``<output_dir>/homes``."""
     began_s = time.monotonic()
     target = Folder(config.output_dir) / "homes"
-    homes = (found.maps or found.houses).read()
-    layouts = _layouts(homes)
-    picked = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    picked = mapped_examples(config, found.maps or found.houses)
     console.headline("drawing", f"{len(picked)} homes")
     with console.Progress(len(picked), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
-        for home in picked:
+        for home, home_map in picked:
             figure = Figure(figsize=(8, 8), layout="constrained")
-            home_map = cached_map(home, config.cache_dir / "maps", config.map.resolution_m, config.map.robot_radius_m)
             draw_home(home, home_map, figure.subplots())
-            for kind in ("png", "svg"):
-                figure.savefig(Path(temporary) / f"{home.size_class}-{home.id}.{kind}", dpi=150)
+            save_figure(figure, Path(temporary), f"{home.size_class}-{home.id}", dpi=150)
             progress.update()
+        save_figure(draw_gallery({config.homes.source: picked}), Path(temporary), GALLERY, dpi=100)
         target.upload(Path(temporary))
     console.result(target, time.monotonic() - began_s)
+
+
+def mapped_examples(config: Config, where: HomeFiles) -> list[tuple[Home, HomeMap]]:
+    """The first few homes of each size class, of different layouts, with their maps."""
+    layouts = _layouts(where.read())
+    picked = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    cache_dir, options = config.cache_dir / "maps", config.map
+    return [(home, cached_map(home, cache_dir, options.resolution_m, options.robot_radius_m)) for home in picked]
+
+
+def save_figure(figure: Figure, folder: Path, name: str, dpi: int) -> None:
+    """Writes a figure as PNG and SVG."""
+    for kind in ("png", "svg"):
+        figure.savefig(folder / f"{name}.{kind}", dpi=dpi)
 
 
 def describe(manifest: Mapping[str, Any]) -> str:

@@ -1,12 +1,15 @@
 """Compares generated homes with real ones, and likelihood models trained on either, tested on real homes.
 
 The real homes are those of homes=procthor homes.files=[...] or homes=procthor10k; the generated ones are those of
-homes=generated with the same seed and numbers. Leaves ``<output_dir>/realism/homes.csv`` and ``transfer.csv``.
+homes=generated with the same seed and numbers. Leaves ``<output_dir>/realism/homes.csv`` and ``transfer.csv``; with
+draw=true also a gallery of both.
 """
 
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -14,6 +17,7 @@ from omegaconf import OmegaConf
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
 from mrtask.likelihood.training import score, train_model
+from mrtask.maps.draw import draw_gallery
 from mrtask.maps.home_map import build_map
 from mrtask.maps.realism import DescribedHome, compare_homes, describe_home
 from pipeline import console, dataset, homes, interrupt
@@ -56,6 +60,13 @@ def run(config: Config, pool: Pool) -> None:
     target.write(HOMES_TABLE, table.to_csv(index=False).encode())
     _say(table.to_string(index=False, float_format=ROUNDED, na_rep=""))
     console.result(target / HOMES_TABLE, time.monotonic() - began_s)
+    if config.draw:
+        blocks = {"generated": generated_set.houses, "real": real_set.houses}
+        with tempfile.TemporaryDirectory() as temporary:
+            figure = draw_gallery({title: homes.mapped_examples(config, where) for title, where in blocks.items()})
+            homes.save_figure(figure, Path(temporary), homes.GALLERY, dpi=100)
+            target.upload(Path(temporary))
+        console.line(f"-> {target / homes.GALLERY}.png")
     if config.realism.models:
         began_s = time.monotonic()
         rows = [

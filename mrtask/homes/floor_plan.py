@@ -21,8 +21,10 @@ from mrtask.homes.home import Point, Polygon, size_class_of
 
 PLANS_DRAWN = 6
 CORNER_CUTS = 30
-COMPACTNESS = 0.3
-"""Weight of a room's missing corners against the error of its area."""
+LARGEST_CUT = 2 / 3
+"""Of the footprint's height and width."""
+SEEDS_WEIGHED = 3
+"""Of so many cells drawn, a room grows from the one furthest from the rooms before it."""
 OUTSIDE, EMPTY = -2, -1
 COORDINATE_DECIMALS = 3
 
@@ -80,8 +82,8 @@ def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
         spare = int((grid == EMPTY).sum()) - wanted
         if spare <= 0:
             break
-        rows = int(rng.integers(1, max(height // 2, 1) + 1))
-        cols = int(rng.integers(1, max(width // 2, 1) + 1))
+        rows = int(rng.integers(1, max(int(height * LARGEST_CUT), 1) + 1))
+        cols = int(rng.integers(1, max(int(width * LARGEST_CUT), 1) + 1))
         if rows * cols > spare:
             continue
         cut = grid.copy()
@@ -128,9 +130,16 @@ def _grow(grid: Grid, weights: NDArray[np.float64], rng: np.random.Generator) ->
 
 
 def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """One cell for each room to grow from."""
-    cells = np.argwhere(grid == EMPTY)
-    return [(int(row), int(col)) for row, col in cells[rng.permutation(len(cells))[:count]]]
+    """One cell for each room to grow from, apart from each other."""
+    cells = rng.permutation(np.argwhere(grid == EMPTY))
+    seeds: list[tuple[int, int]] = []
+    for room in range(count):
+        drawn = cells[room : room + SEEDS_WEIGHED]
+        apart = [min((math.dist(cell, seed) for seed in seeds), default=0.0) for cell in drawn]
+        best = room + int(np.argmax(apart))
+        cells[[room, best]] = cells[[best, room]]
+        seeds.append((int(cells[room, 0]), int(cells[room, 1])))
+    return seeds
 
 
 def _best_strip(
@@ -166,7 +175,7 @@ def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
 
 
 def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
-    """How far the plan is from the shares and from compact rooms; None when a room is no simple, joined polygon."""
+    """How far the plan is from the shares; None when a room is no simple polygon or the rooms do not hang together."""
     if (grid == EMPTY).any():
         return None
     total = (grid >= 0).sum()
@@ -175,9 +184,7 @@ def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
         mine = grid == room
         if not _is_simple(mine):
             return None
-        box = np.argwhere(mine)
-        boxed = np.prod(box.max(axis=0) - box.min(axis=0) + 1)
-        fault += abs(mine.sum() / total - weight) / weight + COMPACTNESS * (1 - mine.sum() / boxed)
+        fault += abs(mine.sum() / total - weight) / weight
     graph = nx.Graph(neighbours(grid))
     return fault if len(weights) == 1 or (len(graph) == len(weights) and nx.is_connected(graph)) else None
 

@@ -23,7 +23,7 @@ CLEARANCE_M = 0.23
 """More than the robot's 0.2 m, so that what is passable here is so on the map's finer grid."""
 ACCESS_M = 0.45
 """Every container keeps passable floor within this of its footprint."""
-POCKET_SHARE, POCKET_PROB = 0.2, 0.35
+POCKET_SHARE, POCKET_PROB = 0.2, 0.25
 """Most pieces stand where they leave the passable floor in one piece; some, and those that fit nowhere else, may cut
 off pockets of so much of it."""
 WALL_GAP_M = 0.02
@@ -253,6 +253,10 @@ def _place_chairs(
         centers += outward * (size_m.z * (0.5 - push))[:, None]
         turns = np.degrees(np.arctan2(-outward[:, 0], -outward[:, 1]))
         turns = (turns + rng.uniform(-CHAIR_TURN_DEG, CHAIR_TURN_DEG, PLACES_DRAWN)) % 360
+        if chairs:  # the places furthest from the chairs before come first
+            others = np.array([chair.center for chair in chairs])
+            order = np.argsort(-np.hypot(*(centers[:, None] - others).transpose(2, 0, 1)).min(axis=1))
+            centers, turns = centers[order], turns[order]
         placed = _place(floor, "Chair", asset_id, size_m, _Places(centers, turns), may_cut_off, table_shape)
         if placed is not None:
             chairs.append(placed[0])

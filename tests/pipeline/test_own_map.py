@@ -83,9 +83,10 @@ def test_the_map_is_drawn(workspace: Workspace, cli: Cli) -> None:
     lab = write_lab(workspace.path, CONTAINERS)
     done = cli("homes", *workspace.overrides, *lab, "draw=true", "output_dir=outputs/plan", cwd=workspace.path)
     assert done.code == 0, done.err
-    drawn = [path.name for path in (workspace.path / "outputs/plan/homes").iterdir()]
-    assert len(drawn) == 2
-    assert all(name.startswith("small-") for name in drawn)
+    drawn = sorted(path.name for path in (workspace.path / "outputs/plan/homes").iterdir())
+    assert len(drawn) == 4
+    assert drawn[:2] == ["gallery.png", "gallery.svg"]
+    assert all(name.startswith("small-") for name in drawn[2:])
 
 
 @pytest.mark.parametrize(

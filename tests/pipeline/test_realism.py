@@ -23,7 +23,7 @@ def overrides(tmp_path: Path) -> tuple[str, ...]:
 
 
 def test_both_tables(cli: Cli, tmp_path: Path, overrides: tuple[str, ...]) -> None:
-    done = cli("realism", *overrides, "realism.models=[frequency]")
+    done = cli("realism", *overrides, "realism.models=[frequency]", "draw=true")
     assert done.code == 0, done.err
     assert "12 generated homes against 16 real ones" in done.out
     assert "models tested on 8 real homes" in done.out
@@ -32,6 +32,7 @@ def test_both_tables(cli: Cli, tmp_path: Path, overrides: tuple[str, ...]) -> No
     assert set(homes["size_class"]) == {"small", "medium"}
     assert len(homes) == 2 * (len(NUMBERS) + len(KINDS))
     assert homes[["distance", "yardstick"]].stack().between(0, 1).all()
+    assert (folder / "gallery.png").stat().st_size > 10_000
     transfer = pd.read_csv(folder / "transfer.csv")
     assert list(transfer["trained_on"]) == ["generated", "real"]
     assert set(transfer["training_homes"]) == {6}

@@ -273,8 +273,8 @@ def test_floor_plans_are_drawn(workspace: Workspace, cli: Cli) -> None:
     done = cli("homes", *workspace.overrides, "draw=true", "output_dir=outputs/drawn", cwd=workspace.path)
     assert done.code == 0
     drawn = sorted(path.name for path in (workspace.path / "outputs" / "drawn" / "homes").iterdir())
-    assert len(drawn) == 24
-    assert {name.partition("-")[0] for name in drawn} == {"small", "medium", "large"}
+    assert len(drawn) == 26
+    assert {name.partition("-")[0] for name in drawn} == {"small", "medium", "large", "gallery.png", "gallery.svg"}
     assert {name.partition(".")[2] for name in drawn} == {"png", "svg"}
 
 
