@@ -23,7 +23,7 @@ CLEARANCE_M = 0.23
 """More than the robot's 0.2 m, so that what is passable here is so on the map's finer grid."""
 ACCESS_M = 0.45
 """Every container keeps passable floor within this of its footprint."""
-POCKET_SHARE, POCKET_PROB = 0.2, 0.25
+POCKET_SHARE, POCKET_PROB = 0.2, 0.3
 """Most pieces stand where they leave the passable floor in one piece; some, and those that fit nowhere else, may cut
 off pockets of so much of it."""
 WALL_GAP_M = 0.02
