@@ -1,8 +1,10 @@
-"""CPU seconds per home for generating and mapping, and the distance fields against libraries, on one core.
+"""CPU seconds per home on one core (generating, map, travel times; median and 99th percentile by size) and memory.
 
     python benchmarks/bench_maps.py [--homes 40] [--files homes.jsonl.gz ... --assets asset-database.json]
 
-Without files the homes are generated. "memory" is what a map holds, and the largest home's peak while it is built.
+Without files the homes are generated. "map" is the grid and the access cells, "travel times" the distance fields from
+all containers; on the first few homes of a class they are compared with two libraries. "memory" is what a map holds,
+and the largest home's peak while it is built.
 """
 
 import argparse
@@ -59,6 +61,19 @@ def row(name: str, times: list[float]) -> None:
     print(f"  {name:34} median {median:7.4f} s   99 % {high:7.4f} s   worst {worst:7.4f} s")
 
 
+def time_maps(members: list[Home]) -> dict[str, list[float]]:
+    """Seconds of each home's map, by part."""
+    times: dict[str, list[float]] = {"map": [], "travel times": [], "map and travel times": []}
+    for home in members:
+        began = time.process_time()
+        home_map = build_map(home)
+        both = time.process_time() - began
+        fields = seconds(lambda home_map=home_map: distance_fields(home_map.free, home_map.access, 0.05))
+        for name, value in zip(times, (both - fields, fields, both), strict=True):
+            times[name].append(value)
+    return times
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--homes", type=int, default=40, help="generated homes per size class")
@@ -77,19 +92,21 @@ def main() -> None:
             for number in range(arguments.homes):
                 generating[name].append(seconds(lambda name=name, number=number: generate_house(number, name)))
                 homes[name].append(parse_house(generate_house(number, name), None, "generated", number))
-    build_map(homes["small"][0])  # compiles
+    build_map(next(home for members in homes.values() for home in members))  # compiles
     for name, members in homes.items():
+        if not members:
+            continue
         maps = [build_map(home) for home in members[: arguments.libraries]]
-        cells, containers = (
-            np.mean([f(h) for h in members]) for f in (lambda h: build_map(h).free.size, lambda h: len(h.containers))
+        area_m2, containers = (
+            float(np.mean(values)) for values in zip(*((h.area_m2, len(h.containers)) for h in members), strict=True)
         )
-        print(f"{name}: {len(members)} homes, {cells:.0f} cells and {containers:.1f} containers on average")
+        print(f"{name}: {len(members)} homes, {area_m2:.0f} m2 and {containers:.1f} containers on average")
         if generating[name]:
             row("generate", generating[name])
-        row("map with all distance fields", [seconds(lambda home=home: build_map(home)) for home in members])
-        row("of it the fields", [seconds(lambda m=m: distance_fields(m.free, m.access, 0.05)) for m in maps])
-        row("the fields with scikit-image", [seconds(lambda m=m: with_scikit_image(m)) for m in maps])
-        row("the fields with scipy", [seconds(lambda m=m: with_scipy(m)) for m in maps])
+        for part, times in time_maps(members).items():
+            row(part, times)
+        row("travel times with scikit-image", [seconds(lambda m=m: with_scikit_image(m)) for m in maps])
+        row("travel times with scipy", [seconds(lambda m=m: with_scipy(m)) for m in maps])
         largest = max(members, key=lambda home: home.area_m2 * len(home.containers))
         tracemalloc.start()
         kept = build_map(largest).fields_m.nbytes

@@ -24,6 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 from mrtask.homes.procthor import HouseError
 from mrtask.likelihood.dataset import DatasetError
 from mrtask.likelihood.model import ModelError
+from mrtask.maps.ros_map import MapError
 from mrtask.tasks.formula import FormulaError
 from pipeline import config as schema
 from pipeline import interrupt, sweep
@@ -34,7 +35,7 @@ from pipeline.pool import Pool
 CONF_DIR = Path(__file__).resolve().parent.parent / "conf"
 USER_ERROR_EXIT = 2
 INTERRUPT_EXIT = 130
-USER_ERRORS = (UserError, HouseError, FormulaError, DatasetError, ModelError)
+USER_ERRORS = (UserError, HouseError, MapError, FormulaError, DatasetError, ModelError)
 
 
 def main(module_name: str) -> None:

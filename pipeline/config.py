@@ -9,11 +9,20 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from mrtask.planning.planners import make_planner
 from mrtask.tasks.templates import TEMPLATES
@@ -73,6 +82,7 @@ class ProcthorHomes(_Homes):
     test: Positive | None
     files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     assets: LocalPath | None
+    skip_faulty: bool
 
 
 class Procthor10kHomes(_Homes):
@@ -80,9 +90,29 @@ class Procthor10kHomes(_Homes):
 
     source: Literal["procthor10k"]
     test: Positive | None
+    skip_faulty: bool
 
 
-Homes = GeneratedHomes | ProcthorHomes | Procthor10kHomes
+class RosMapHomes(_Homes):
+    """The user's own scanned floors to evaluate on; the model learns from generated homes."""
+
+    source: Literal["ros_map"]
+    test: Positive
+    map: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), Field(min_length=1)]
+    containers: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed)]
+    worlds: Positive
+
+    @model_validator(mode="after")
+    def _one_file_of_containers_each(self) -> Self:
+        if len(self.containers) != len(self.map):
+            raise ValueError(
+                f"homes.map lists {len(self.map)} and homes.containers {len(self.containers)}; give one for each map"
+            )
+        return self
+
+
+Homes = GeneratedHomes | ProcthorHomes | Procthor10kHomes | RosMapHomes
+HOME_SOURCES = ("generated", "procthor", "procthor10k", "ros_map")
 
 
 class Map(_Section):
@@ -92,10 +122,13 @@ class Map(_Section):
     robot_radius_m: float = Field(ge=0, le=2)
 
 
+ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
+
+
 class Model(_Section):
     """Which likelihood model, on which embedding of names."""
 
-    kind: Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
+    kind: ModelKind
     embedding: str = Field(min_length=1)
     layers: Annotated[tuple[Positive, ...], Field(min_length=1)]
     dropout: float = Field(ge=0, lt=1)
@@ -121,6 +154,7 @@ class EvaluationHomes(_Section):
 
     files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
     assets: LocalPath | None
+    skip_faulty: bool
 
 
 class Evaluation(_Section):
@@ -150,6 +184,13 @@ class Evaluation(_Section):
         if unknown:
             raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
         return names
+
+
+class Realism(_Section):
+    """How generated homes are compared with real ones."""
+
+    generated_test: Positive
+    models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
 class Cluster(_Section):
@@ -192,6 +233,7 @@ class Config(_Section):
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
     evaluation: Evaluation
+    realism: Realism
     cluster: Cluster
     tracking: Tracking
 
@@ -243,7 +285,7 @@ _BOUNDS = {
 def _explain(item: Any) -> str:
     """One pydantic error as ``key=value: what is allowed``."""
     path = [str(part) for part in item["loc"]]
-    if path[0] == "homes" and len(path) > 1 and path[1] in ("generated", "procthor", "procthor10k"):
+    if path[0] == "homes" and len(path) > 1 and path[1] in HOME_SOURCES:
         del path[1]
     key, kind, context = ".".join(path), item["type"], item.get("ctx", {})
     if kind == "extra_forbidden":

@@ -53,7 +53,10 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
         console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
     counts = homes.count_by_size_class(unseen)
     empty = [name for name in options.size_classes if not counts[name]]
-    if empty:
+    size_classes = tuple(name for name in options.size_classes if counts[name])
+    if empty and size_classes and facts["source"] == "ros_map":  # a map has the size that it has
+        console.line(f"no {' and no '.join(empty)} map: trials on {', '.join(size_classes)} only")
+    elif empty:
         have = ", ".join(f"{count} {name}" for name, count in counts.items())
         raise UserError(
             f"no {' and no '.join(empty)} home to evaluate on ({have}); "
@@ -86,16 +89,16 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
         "evaluated": len(unseen),
         "by_size_class": counts,
     }
-    return Evaluation(episode_keys(config), context, identity, facts)
+    return Evaluation(episode_keys(config, size_classes), context, identity, facts)
 
 
-def episode_keys(config: Config) -> tuple[EpisodeKey, ...]:
+def episode_keys(config: Config, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
     """All episodes; cells take turns, so that what is done at any time is a fair sample of the whole."""
     options = config.evaluation
     return tuple(
         EpisodeKey(size_class, robots, number, planner)
         for number in range(options.trials_per_cell)
-        for size_class in options.size_classes
+        for size_class in size_classes
         for robots in options.robots
         for planner in options.planners
     )
@@ -107,7 +110,7 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
     return {
         "seed": config.seed,
         "map": config.map.model_dump(mode="json"),
-        "homes": config.homes.model_dump(mode="json", exclude={"files", "assets"}),
+        "homes": config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         "evaluation": options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
         "evaluated_homes": content_hash(sorted(home.id for home in evaluated)),
         "planner": {name: config.planner_options(name) for name in options.planners},
@@ -118,10 +121,17 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
 
 def _evaluation_homes(config: Config, home_set: HomeSet) -> tuple[tuple[Home, ...], dict[str, Any]]:
     given = config.evaluation.homes
+    where: homes.HomeFiles
     if given.files:
-        source, files, assets = "procthor", given.files, given.assets
-        found = homes.read_homes(files, assets)
+        source, where = "procthor", homes.HouseFiles(given.files, given.assets, given.skip_faulty)
+        found = where.read()
+        homes.say_faults(where)
     else:
-        source, files, assets = config.homes.source, home_set.files, home_set.assets
-        found = home_set.read()["test"]
-    return found, {"source": source, "files": [str(path) for path in files], "assets": str(assets) if assets else None}
+        source = config.homes.source
+        where, found = home_set.evaluation_homes()
+    return found, {
+        "source": source,
+        "files": [str(path) for path in where.paths],
+        "skipped": len(where.faults()),
+        "read_from": homes.home_files_facts(where),
+    }

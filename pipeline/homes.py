@@ -1,7 +1,8 @@
 """Makes or reads the homes and splits them into training, validation and test homes by content.
 
 Generated homes go to ``<datasets_dir>/homes`` in ProcTHOR's own schema, so that they are read like anybody's. Homes of
-your own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json; draw=true draws floor plans.
+your own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json. A scanned floor: homes=ros_map
+homes.map=lab.yaml homes.containers=containers.yaml. draw=true draws floor plans.
 """
 
 import hashlib
@@ -20,13 +21,23 @@ from mrtask.execution.trials import key_seed
 from mrtask.homes.download import DownloadError, fetch_procthor10k
 from mrtask.homes.generator import generate_house, write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
-from mrtask.homes.procthor import read_houses
+from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.homes.split import split_homes
 from mrtask.maps.cache import cached_map
-from mrtask.maps.draw import draw_home
+from mrtask.maps.draw import draw_gallery, draw_home
+from mrtask.maps.home_map import HomeMap
+from mrtask.maps.ros_map import read_map_worlds
 from pipeline import artifacts, console
 from pipeline.app import main
-from pipeline.config import Config, GeneratedHomes, ProcthorHomes, UserError, content_hash
+from pipeline.config import (
+    Config,
+    GeneratedHomes,
+    Procthor10kHomes,
+    ProcthorHomes,
+    RosMapHomes,
+    UserError,
+    content_hash,
+)
 from pipeline.pool import Pool
 from pipeline.storage import Folder
 from pipeline.version import code_version, source_hash
@@ -34,7 +45,104 @@ from pipeline.version import code_version, source_hash
 SPLITS = ("train", "validation", "test")
 GENERATED_FILE = "generated.jsonl.gz"
 DRAWN_PER_CLASS = 4
+GALLERY = "gallery"
+FAULTS_LISTED = 20
+SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
+GENERATED_KEYS = {"seed", "train", "validation", "test"}
 PROCTHOR_10K_ASSETS = "asset-database.json"
+
+
+@dataclass(frozen=True)
+class HouseFiles:
+    """House files in ProcTHOR's schema."""
+
+    files: tuple[Path, ...]
+    assets: Path | None = None
+    skip_faulty: bool = False
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        return (*self.files, *([self.assets] if self.assets else []))
+
+    def read(self) -> tuple[Home, ...]:
+        """The distinct homes, in order; a faulty one raises `UserError` unless those are skipped."""
+        return _read_houses(self)[0]
+
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the homes that were left out."""
+        return _read_houses(self)[1]
+
+
+@dataclass(frozen=True)
+class MapFiles:
+    """Scanned floors: ROS maps, each with its file of containers."""
+
+    maps: tuple[Path, ...]
+    containers: tuple[Path, ...]
+    worlds: int
+    seed: int
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        return (*self.maps, *self.containers)
+
+    def read(self) -> tuple[Home, ...]:
+        """The worlds of all maps; raises `MapError`."""
+        return _read_maps(self)
+
+    def faults(self) -> tuple[str, ...]:
+        """None: a faulty map is an error."""
+        return ()
+
+
+HomeFiles = HouseFiles | MapFiles
+
+
+def home_files_facts(where: HomeFiles) -> dict[str, Any]:
+    """Plain data for a manifest, from which `home_files` makes the same again."""
+    kind = "maps" if isinstance(where, MapFiles) else "houses"
+    return {"kind": kind, **{name: _plain(value) for name, value in vars(where).items()}}
+
+
+def home_files(facts: Mapping[str, Any]) -> HomeFiles:
+    """The files of `home_files_facts`."""
+    paths = {name: tuple(map(Path, facts[name])) for name in ("files", "maps", "containers") if name in facts}
+    if facts["kind"] == "maps":
+        return MapFiles(paths["maps"], paths["containers"], facts["worlds"], facts["seed"])
+    return HouseFiles(paths["files"], Path(facts["assets"]) if facts["assets"] else None, facts["skip_faulty"])
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [str(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+@lru_cache(maxsize=4)
+def _read_houses(where: HouseFiles) -> tuple[tuple[Home, ...], tuple[str, ...]]:
+    faults: list[str] = []
+
+    def on_error(error: HouseError) -> None:
+        if not where.skip_faulty:
+            raise UserError(f"{error}\n{SKIP_KEYS} leaves such homes out and counts them") from error
+        faults.append(str(error))
+
+    homes = {home.id: home for home in read_houses(where.files, where.assets, on_error)}
+    if not homes:
+        raise UserError(f"no home can be used, all {len(faults)} are faulty; the first: {faults[0]}")
+    return tuple(homes.values()), tuple(faults)
+
+
+@lru_cache(maxsize=4)
+def _read_maps(where: MapFiles) -> tuple[Home, ...]:
+    worlds = [
+        world
+        for map_path, containers_path in zip(where.maps, where.containers, strict=True)
+        for world in read_map_worlds(map_path, containers_path, where.worlds, where.seed)
+    ]
+    return tuple({home.id: home for home in worlds}.values())
 
 
 @dataclass(frozen=True)
@@ -42,8 +150,9 @@ class HomeSet:
     """Homes that the stage has found in order: where they are and which is for what."""
 
     folder: Path
-    files: tuple[Path, ...]
-    assets: Path | None
+    houses: HouseFiles
+    maps: MapFiles | None = None
+    """With homes=ros_map: what the planners are evaluated on in place of the test homes."""
 
     @property
     def manifest(self) -> dict[str, Any]:
@@ -52,8 +161,12 @@ class HomeSet:
 
     def read(self) -> dict[str, tuple[Home, ...]]:
         """The homes by split, each split in the order of its ids."""
-        homes = {home.id: home for home in read_homes(self.files, self.assets)}
+        homes = {home.id: home for home in self.houses.read()}
         return {name: tuple(homes[home_id] for home_id in self.manifest["split"][name]) for name in SPLITS}
+
+    def evaluation_homes(self) -> tuple[HomeFiles, tuple[Home, ...]]:
+        """The homes to evaluate planners on, and the files that they are from."""
+        return (self.maps, self.maps.read()) if self.maps else (self.houses, self.read()["test"])
 
 
 def run(config: Config, pool: Pool) -> HomeSet:
@@ -66,61 +179,71 @@ def run(config: Config, pool: Pool) -> HomeSet:
 
 def prepare(config: Config, pool: Pool) -> HomeSet:
     """The homes, generated or checked unless that was done before."""
-    options, began_s = config.homes, time.monotonic()
+    options, maps = config.homes, None
+    if isinstance(options, RosMapHomes):
+        maps = _check_maps(options)
+        options = GeneratedHomes(source="generated", **options.model_dump(include=GENERATED_KEYS))
+    began_s = time.monotonic()
     inputs = options.model_dump(mode="json", exclude={"files", "assets"}) | {"code": source_hash("mrtask/homes")}
     if isinstance(options, GeneratedHomes):
         total = options.train + options.validation + options.test
         folder = config.datasets_dir / "homes" / f"generated-{content_hash(inputs)}"
-        found = HomeSet(folder, (folder / GENERATED_FILE,), None)
+        found = HomeSet(folder, HouseFiles((folder / GENERATED_FILE,)), maps)
         console.headline("homes", f"{total} generated homes, seed {options.seed}")
     else:
         files, assets = _given_files(config)
-        hashes = {str(path): _file_hash(path) for path in (*files, *([assets] if assets else []))}
-        folder = config.datasets_dir / "homes" / f"{options.source}-{content_hash([inputs, sorted(hashes.values())])}"
-        found = HomeSet(folder, files, assets)
+        houses = HouseFiles(files, assets, options.skip_faulty)
+        hashes = sorted(_file_hash(path) for path in houses.paths)
+        folder = config.datasets_dir / "homes" / f"{options.source}-{content_hash([inputs, hashes])}"
+        found = HomeSet(folder, houses)
         console.headline("homes", f"{', '.join(path.name for path in files)}")
     if artifacts.ready(folder):
         console.skipped(shown(folder))
         return found
 
     def fill(temporary: Path) -> Mapping[str, Any]:
+        houses = found.houses
         if isinstance(options, GeneratedHomes):
             write_houses(temporary / GENERATED_FILE, _generate(options.seed, total, pool))
-            homes = read_homes((temporary / GENERATED_FILE,), None)
-        else:
-            homes = read_homes(found.files, found.assets)
-        return _manifest(config, homes)
+            houses = HouseFiles((temporary / GENERATED_FILE,))
+        return _manifest(options, houses)
 
     artifacts.make(folder, fill)
+    say_faults(found.houses)
     console.line(describe(found.manifest))
     console.result(shown(folder), time.monotonic() - began_s)
     return found
 
 
 def draw(config: Config, found: HomeSet) -> None:
-    """Floor plans of some homes of each size class as PNG and SVG, in ``<output_dir>/homes``."""
+    """Floor plans of some homes of each size class as PNG and SVG, and a gallery of them, in ``<output_dir>/homes``."""
     began_s = time.monotonic()
     target = Folder(config.output_dir) / "homes"
-    homes = read_homes(found.files, found.assets)
-    picked = [home for name in SIZE_CLASSES for home in [h for h in homes if h.size_class == name][:DRAWN_PER_CLASS]]
+    picked = mapped_examples(config, found.maps or found.houses)
     console.headline("drawing", f"{len(picked)} homes")
     with console.Progress(len(picked), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
-        for home in picked:
+        for home, home_map in picked:
             figure = Figure(figsize=(8, 8), layout="constrained")
-            home_map = cached_map(home, config.cache_dir / "maps", config.map.resolution_m, config.map.robot_radius_m)
             draw_home(home, home_map, figure.subplots())
-            for kind in ("png", "svg"):
-                figure.savefig(Path(temporary) / f"{home.size_class}-{home.id}.{kind}", dpi=150)
+            save_figure(figure, Path(temporary), f"{home.size_class}-{home.id}", dpi=150)
             progress.update()
+        save_figure(draw_gallery({config.homes.source: picked}), Path(temporary), GALLERY, dpi=100)
         target.upload(Path(temporary))
     console.result(target, time.monotonic() - began_s)
 
 
-@lru_cache(maxsize=4)
-def read_homes(files: tuple[Path, ...], assets: Path | None) -> tuple[Home, ...]:
-    """The distinct homes of the files, in order; a faulty one raises `HouseError`."""
-    homes = {home.id: home for home in read_houses(files, assets)}
-    return tuple(homes.values())
+def mapped_examples(config: Config, where: HomeFiles) -> list[tuple[Home, HomeMap]]:
+    """The first few homes of each size class, of different layouts, with their maps."""
+    layouts = _layouts(where.read())
+    picked = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    cache_dir, options = config.cache_dir / "maps", config.map
+    return [(home, cached_map(home, cache_dir, options.resolution_m, options.robot_radius_m)) for home in picked]
+
+
+def save_figure(figure: Figure, folder: Path, name: str, dpi: int) -> None:
+    """Writes a figure as PNG and SVG."""
+    for kind in ("png", "svg"):
+        figure.savefig(folder / f"{name}.{kind}", dpi=dpi)
 
 
 def describe(manifest: Mapping[str, Any]) -> str:
@@ -139,8 +262,40 @@ def count_by_size_class(homes: Sequence[Home]) -> dict[str, int]:
     return {name: counts[name] for name in SIZE_CLASSES}
 
 
-def _manifest(config: Config, homes: Sequence[Home]) -> dict[str, Any]:
-    options = config.homes
+def _layouts(homes: Sequence[Home]) -> list[Home]:
+    """The first home of each layout, in order."""
+    first: dict[str, Home] = {}
+    for home in homes:
+        first.setdefault(home.layout_id, home)
+    return list(first.values())
+
+
+def say_faults(where: HomeFiles) -> None:
+    """Tells how many faulty homes were left out, and the first of them."""
+    if faults := where.faults():
+        console.line(f"faulty homes left out: {len(faults)}; the first: {faults[0]}")
+
+
+def _check_maps(options: RosMapHomes) -> MapFiles:
+    """Reads the maps, so that mistakes in them are told before any work."""
+    for key, paths in (("homes.map", options.map), ("homes.containers", options.containers)):
+        for path in paths:
+            if not path.is_file():
+                raise UserError(f"{key}: no such file: {path}")
+    maps = MapFiles(options.map, options.containers, options.worlds, options.seed)
+    worlds = maps.read()
+    layouts = _layouts(worlds)
+    sizes = ", ".join(
+        f"{home.source} ({home.size_class}, {home.area_m2:.0f} m2, {len(home.containers)} containers)"
+        for home in layouts
+    )
+    console.headline("maps", sizes)
+    console.line(f"{len(worlds)} worlds to evaluate on" if len(worlds) > len(layouts) else "contents as listed")
+    return maps
+
+
+def _manifest(options: GeneratedHomes | ProcthorHomes | Procthor10kHomes, where: HouseFiles) -> dict[str, Any]:
+    homes = where.read()
     try:
         split = split_homes(
             [home.id for home in homes], options.train, options.validation, options.test, str(options.seed)
@@ -156,6 +311,8 @@ def _manifest(config: Config, homes: Sequence[Home]) -> dict[str, Any]:
         "code_version": code_version(),
         "content_hash": content_hash(sorted(home.id for home in homes)),
         "homes": len(homes),
+        "skipped": len(where.faults()),
+        "faults": where.faults()[:FAULTS_LISTED],
         "by_size_class": count_by_size_class(homes),
         "containers": sum(len(home.containers) for home in homes),
         "split": {name: list(getattr(split, name)) for name in SPLITS},

@@ -95,12 +95,11 @@ def _digest(episodes: pd.DataFrame) -> str:
 
 def _homes(manifest: Mapping[str, Any], ids: set[str]) -> dict[str, Home]:
     """The homes to be drawn; those whose files are gone are left out."""
-    where = manifest["homes"]
-    files, assets = tuple(map(Path, where["files"])), where["assets"] and Path(where["assets"])
-    if not all(path.is_file() for path in files):
+    where = homes.home_files(manifest["homes"]["read_from"])
+    if not all(path.is_file() for path in where.paths):
         console.line("the homes' files are gone: no episode is drawn")
         return {}
-    return {home.id: home for home in homes.read_homes(files, assets) if home.id in ids}
+    return {home.id: home for home in where.read() if home.id in ids}
 
 
 if __name__ == "__main__":

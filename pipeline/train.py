@@ -31,7 +31,7 @@ def run(config: Config, pool: Pool) -> dict[str, Any]:
 def train(config: Config, rows_folder: Path) -> dict[str, Any]:
     """Trains on a dataset and registers the model, unless that very model is in the registry."""
     began_s = time.monotonic()
-    options = _options(config)
+    options = training_options(config)
     key = content_hash(
         [
             read_manifest(rows_folder).content_hash,
@@ -87,7 +87,8 @@ def _train(config: Config, options: TrainingOptions, data: Dataset, run: trackin
     return trained
 
 
-def _options(config: Config) -> TrainingOptions:
+def training_options(config: Config) -> TrainingOptions:
+    """The configured model and trainer as the library's options."""
     model, trainer = config.model, config.trainer
     return TrainingOptions(
         kind=model.kind,

@@ -16,13 +16,19 @@ from typing import Any
 
 import numpy as np
 import yaml
+from shapely import get_coordinates, union_all
 from shapely.geometry import LineString, Point, Polygon
 
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, is_larger
+from mrtask.homes.home import SIZE_CLASSES, size_class_of
 from mrtask.homes.procthor import ON_FLOOR_BELOW_M, load_asset_types, rotated_rectangle
 
+MIN_CELL_M, MAX_CELL_M = 1.6, 2.2
+"""ProcTHOR's range for the side of a floor plan's grid cell."""
+CELL_SIDES_M = np.arange(MAX_CELL_M, MIN_CELL_M - 1e-3, -1e-3)
 AREA_CLASSES = 6
 AREA_QUANTILES = np.linspace(0, 1, 11)
+FOOTPRINT_QUANTILES = np.linspace(0, 1, 21)
 MAX_ASSETS_PER_TYPE = 12
 AT_WALL_M = 0.12
 GROUP_GAP_M = 0.3
@@ -113,8 +119,7 @@ def _home_facts(homes: list[Home]) -> dict[str, Any]:
     for home in homes:
         areas = [(room["roomType"], _floor(room).area) for room in home["rooms"]]
         total, spec = sum(area for _, area in areas), home["metadata"]["roomSpecId"]
-        size_class = "small" if total < 60 else "large" if total > 110 else "medium"
-        by_class[size_class].append((spec, total))
+        by_class[size_class_of(total)].append((spec, total))
         members[spec] = tuple(sorted(kind for kind, _ in areas))
         for kind, area in areas:
             share[spec, kind].append(area / total)
@@ -123,14 +128,43 @@ def _home_facts(homes: list[Home]) -> dict[str, Any]:
         for spec, kinds in sorted(members.items())
     }
     classes: dict[str, dict[str, Any]] = {}
-    for size_class in ("small", "medium", "large"):
+    for size_class in SIZE_CLASSES:
         entries = by_class[size_class]
         classes[size_class] = {}
         for spec, count in sorted(Counter(spec for spec, _ in entries).items()):
             totals = [total for other, total in entries if other == spec]
             quantiles = [round(float(value), 1) for value in np.quantile(totals, AREA_QUANTILES)]
             classes[size_class][spec] = {"share": round(count / len(entries), 4), "area_m2": quantiles}
-    return {"specs": specs, "size_classes": classes}
+    return {"footprints": _footprint_facts(homes), "specs": specs, "size_classes": classes}
+
+
+def _footprint_facts(homes: list[Home]) -> dict[str, dict[str, list[float]]]:
+    """Quantiles by size class: the side of the floor plan's cells, its share of the bounding box, the box's aspect."""
+    found: dict[str, dict[str, list[float]]] = {name: {"cell_m": [], "fill": [], "aspect": []} for name in SIZE_CLASSES}
+    for home in homes:
+        floors = [_floor(room) for room in home["rooms"]]
+        area_m2 = sum(floor.area for floor in floors)
+        low_x, low_y, high_x, high_y = union_all(floors).bounds
+        short_m, long_m = sorted((high_x - low_x, high_y - low_y))
+        facts = found[size_class_of(area_m2)]
+        facts["cell_m"].append(_cell_side_m(floors))
+        facts["fill"].append(area_m2 / (short_m * long_m))
+        facts["aspect"].append(long_m / short_m)
+    return {
+        size_class: {
+            name: [round(float(value), 3) for value in np.quantile(values, FOOTPRINT_QUANTILES)]
+            for name, values in facts.items()
+        }
+        for size_class, facts in found.items()
+    }
+
+
+def _cell_side_m(floors: Iterable[Polygon]) -> float:
+    """The side of the grid cells that rooms are made of: what all distances between their walls are a multiple of."""
+    coordinates = np.concatenate([get_coordinates(floor) for floor in floors])
+    gaps = np.concatenate([np.diff(np.unique(np.round(values, 2))) for values in coordinates.T])
+    counts = gaps[gaps > MIN_CELL_M / 2] / CELL_SIDES_M[:, None]
+    return float(CELL_SIDES_M[np.argmin(np.abs(counts - np.round(counts)).max(axis=1))])
 
 
 def _door_facts(homes: list[Home], rooms: list[dict[str, Any]]) -> dict[str, Any]:

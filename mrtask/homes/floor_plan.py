@@ -16,18 +16,15 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mrtask.homes.home import Point, Polygon
+from mrtask.homes.catalogue import load_catalogue
+from mrtask.homes.home import Point, Polygon, size_class_of
 
-CELL_M = (1.6, 2.2)
-"""ProcTHOR's range for the side of a grid cell."""
 PLANS_DRAWN = 6
-CORNER_CUTS = 8
-COARSE_BELOW_CELLS = 15
-FOOTPRINT_FILL = {"coarse": (0.6, 1.05), "fine": (0.76, 1.08)}
-"""Share of its bounding box that a footprint covers (over 1: all of it); less on grids of few cells."""
-COMPACTNESS = 0.5
-"""Weight of a room's missing corners against the error of its area."""
-MAX_ASPECT = {"coarse": 1.7, "fine": 1.35}
+CORNER_CUTS = 30
+LARGEST_CUT = 2 / 3
+"""Of the footprint's height and width."""
+SEEDS_WEIGHED = 3
+"""Of so many cells drawn, a room grows from the one furthest from the rooms before it."""
 OUTSIDE, EMPTY = -2, -1
 COORDINATE_DECIMALS = 3
 
@@ -60,9 +57,10 @@ def make_floor_plan(shares: Sequence[float], area_m2: float, rng: np.random.Gene
     """Divide a footprint of ``area_m2`` among rooms by their shares of the area (any positive numbers)."""
     weights = np.array(shares, dtype=np.float64)
     weights /= weights.sum()
+    footprint = _footprint(len(weights), area_m2, rng)
     best: tuple[float, Grid] | None = None
     for _ in range(PLANS_DRAWN):
-        grid = _grow(_footprint(len(weights), area_m2, rng), weights, rng)
+        grid = _grow(footprint, weights, rng)
         if (fault := _fault(grid, weights)) is not None and (best is None or fault < best[0]):
             best = (fault, grid)
     grid = best[1] if best is not None else _strips(weights)
@@ -73,19 +71,19 @@ def make_floor_plan(shares: Sequence[float], area_m2: float, rng: np.random.Gene
 
 def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
     """A grid of `EMPTY` cells, `OUTSIDE` where rectangles were cut from its corners."""
-    wanted = max(round(area_m2 / rng.uniform(*CELL_M) ** 2), 2 * rooms)
-    grain = "coarse" if wanted < COARSE_BELOW_CELLS else "fine"
-    boxed = wanted / min(rng.uniform(*FOOTPRINT_FILL[grain]), 1.0)
-    aspect = MAX_ASPECT[grain] ** rng.uniform(-1, 1)
-    height = max(round(math.sqrt(boxed * aspect)), 1)
-    width = max(math.ceil(boxed / height), 2)
+    facts = load_catalogue().homes["footprints"][size_class_of(area_m2)]
+    side_m, fill, aspect = (_draw(facts[name], rng) for name in ("cell_m", "fill", "aspect"))
+    boxed = max(area_m2 / side_m**2, 2 * rooms) / fill
+    size = _box(boxed, aspect)
+    height, width = size if rng.random() < 0.5 else size[::-1]
+    wanted = max(round(fill * height * width), rooms)
     grid = np.full((height, width), EMPTY, np.int64)
     for _ in range(CORNER_CUTS):
         spare = int((grid == EMPTY).sum()) - wanted
         if spare <= 0:
             break
-        rows = int(rng.integers(1, max(height // 2, 1) + 1))
-        cols = int(rng.integers(1, max(width // 2, 1) + 1))
+        rows = int(rng.integers(1, max(int(height * LARGEST_CUT), 1) + 1))
+        cols = int(rng.integers(1, max(int(width * LARGEST_CUT), 1) + 1))
         if rows * cols > spare:
             continue
         cut = grid.copy()
@@ -95,6 +93,20 @@ def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
         if _is_simple(cut == EMPTY):
             grid = cut
     return grid
+
+
+def _box(cells: float, aspect: float) -> tuple[int, int]:
+    """The short and the long side, in whole cells, nearest to a number of cells and an aspect."""
+    shorts = range(1, math.isqrt(math.ceil(cells)) + 2)
+    sizes = [(short, long) for short in shorts for long in range(max(short, 2), math.ceil(cells / short) + 1)]
+    return min(
+        sizes, key=lambda size: abs(math.log(math.prod(size) / cells)) + abs(math.log(size[1] / size[0] / aspect))
+    )
+
+
+def _draw(quantiles: Sequence[float], rng: np.random.Generator) -> float:
+    """A number from a distribution given by its evenly spaced quantiles."""
+    return float(np.interp(rng.random(), np.linspace(0, 1, len(quantiles)), quantiles))
 
 
 def _grow(grid: Grid, weights: NDArray[np.float64], rng: np.random.Generator) -> Grid:
@@ -118,9 +130,16 @@ def _grow(grid: Grid, weights: NDArray[np.float64], rng: np.random.Generator) ->
 
 
 def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """One cell for each room to grow from."""
-    cells = np.argwhere(grid == EMPTY)
-    return [(int(row), int(col)) for row, col in cells[rng.permutation(len(cells))[:count]]]
+    """One cell for each room to grow from, apart from each other."""
+    cells = rng.permutation(np.argwhere(grid == EMPTY))
+    seeds: list[tuple[int, int]] = []
+    for room in range(count):
+        drawn = cells[room : room + SEEDS_WEIGHED]
+        apart = [min((math.dist(cell, seed) for seed in seeds), default=0.0) for cell in drawn]
+        best = room + int(np.argmax(apart))
+        cells[[room, best]] = cells[[best, room]]
+        seeds.append((int(cells[room, 0]), int(cells[room, 1])))
+    return seeds
 
 
 def _best_strip(
@@ -156,7 +175,7 @@ def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
 
 
 def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
-    """How far the plan is from the shares and from compact rooms; None when a room is no simple, joined polygon."""
+    """How far the plan is from the shares; None when a room is no simple polygon or the rooms do not hang together."""
     if (grid == EMPTY).any():
         return None
     total = (grid >= 0).sum()
@@ -165,9 +184,7 @@ def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
         mine = grid == room
         if not _is_simple(mine):
             return None
-        box = np.argwhere(mine)
-        boxed = np.prod(box.max(axis=0) - box.min(axis=0) + 1)
-        fault += abs(mine.sum() / total - weight) / weight + COMPACTNESS * (1 - mine.sum() / boxed)
+        fault += abs(mine.sum() / total - weight) / weight
     graph = nx.Graph(neighbours(grid))
     return fault if len(weights) == 1 or (len(graph) == len(weights) and nx.is_connected(graph)) else None
 

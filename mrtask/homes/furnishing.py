@@ -8,7 +8,6 @@ guards that every door and container stays within reach.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import shapely
@@ -24,20 +23,21 @@ CLEARANCE_M = 0.23
 """More than the robot's 0.2 m, so that what is passable here is so on the map's finer grid."""
 ACCESS_M = 0.45
 """Every container keeps passable floor within this of its footprint."""
-CUT_OFF_SHARE = 0.03
-"""Where there is no better place, furniture may cut off so much of a room's passable floor."""
+POCKET_SHARE, POCKET_PROB = 0.2, 0.3
+"""Most pieces stand where they leave the passable floor in one piece; some, and those that fit nowhere else, may cut
+off pockets of so much of it."""
 WALL_GAP_M = 0.02
 ITEM_GAP_M = 0.08
 CHAIR_GAP_M = 0.01
 DOOR_DEPTH_M, DOOR_SIDE_M = 0.75, 0.3
 """The floor before and beside a door that stays empty."""
-ASSETS_TRIED = 6
+ASSETS_TRIED = 10
 PLACES_DRAWN = 80
 PLACES_CHECKED = 10
 """Of the places that fit, this many are checked for what they would cut off."""
 ORDER_NOISE = 0.4
 CHAIR_TURN_DEG = 30.0
-SEAT_OVERLAP = (-0.1, 0.4)
+SEAT_OVERLAP = (0.15, 0.35)
 """How far a chair is pushed under its table, as a share of the chair's depth."""
 TURNED_FREELY = frozenset({"FloorLamp", "HousePlant"})
 DECIMALS = 4
@@ -110,8 +110,11 @@ class _Floor:
                 fits &= ~shapely.dwithin(other, shapes, CHAIR_GAP_M if table is not None else ITEM_GAP_M)
         return np.flatnonzero(fits)
 
-    def add(self, shape: shapely.Polygon, is_container: bool, cut_off_share: float) -> bool:
-        """Place the shape unless it would cut off more floor, a door or a container; says whether it was placed."""
+    def add(self, shape: shapely.Polygon, is_container: bool, pocket_share: float) -> bool:
+        """Place the shape unless it would cut off a door, a container, or more floor than before and than this share.
+
+        Says whether it was placed.
+        """
         passable = self._passable.copy()
         passable[self._cells(shape.buffer(CLEARANCE_M, quad_segs=2))] = False
         rim = self._cells(shape.buffer(ACCESS_M, quad_segs=2))
@@ -122,7 +125,7 @@ class _Floor:
         sizes = np.bincount(labels.ravel())[1:]
         main = int(np.argmax(sizes)) + 1
         cut_off = int(sizes.sum() - sizes[main - 1])
-        if cut_off > max(cut_off_share * sizes.sum(), self._cut_off):
+        if cut_off > max(pocket_share * sizes.sum(), self._cut_off):
             return False
         if not all((labels[cells] == main).any() for cells in must_reach):
             return False
@@ -154,20 +157,22 @@ def furnish_room(
     pieces: list[Piece] = []
     for kind in (wanted[index] for index in order):
         where = rng.random()
+        may_cut_off = rng.random() < POCKET_PROB
         for attempt in range(ASSETS_TRIED):
             asset_id, size_m = _draw_asset(catalogue, kind, rng)
-            where = where if attempt < ASSETS_TRIED / 2 else rng.random()
+            if attempt >= ASSETS_TRIED / 2:
+                where, may_cut_off = rng.random(), True
             in_corner, back_at_wall = (catalogue.types[kind][name][larger] for name in ("in_corner", "back_at_wall"))
             corner, wall = where < in_corner, where < back_at_wall
             places = _draw_places(floor, kind, size_m, wall, corner, rng)
-            if (placed := _place(floor, kind, asset_id, size_m, places)) is not None:
+            if (placed := _place(floor, kind, asset_id, size_m, places, may_cut_off)) is not None:
                 break
         else:
             continue
         pieces.append(placed[0])
         if kind in facts["chairs_at"]:
             chairs = _draw_count(facts["chairs_at"][kind][area_class], rng)
-            pieces += _place_chairs(floor, catalogue, placed[0], placed[1], chairs, rng)
+            pieces += _place_chairs(floor, catalogue, *placed, chairs, may_cut_off, rng)
     return pieces
 
 
@@ -210,14 +215,15 @@ def _place(
     asset_id: str,
     size_m: Size,
     places: _Places,
+    may_cut_off: bool,
     table: shapely.Polygon | None = None,
 ) -> tuple[Piece, shapely.Polygon] | None:
     """Put the piece at the first place that serves, None when none does."""
     places = _Places(np.round(places.centers, DECIMALS), np.round(places.rotations_deg, DECIMALS))
     shapes = places.shapes(size_m)
     candidates = floor.fitting(shapes, table)[:PLACES_CHECKED]
-    for cut_off_share, index in product((0.0, CUT_OFF_SHARE), candidates):
-        if floor.add(shapes[index], kind in CONTAINER_TYPES, cut_off_share):
+    for index in candidates:
+        if floor.add(shapes[index], kind in CONTAINER_TYPES, POCKET_SHARE if may_cut_off else 0.0):
             x, y = places.centers[index]
             piece = Piece(kind, asset_id, size_m, (float(x), float(y)), float(places.rotations_deg[index]))
             return piece, shapes[index]
@@ -230,6 +236,7 @@ def _place_chairs(
     table: Piece,
     table_shape: shapely.Polygon,
     count: int,
+    may_cut_off: bool,
     rng: np.random.Generator,
 ) -> list[Piece]:
     """Chairs of one kind around a table, facing it, pushed under it a little."""
@@ -246,7 +253,11 @@ def _place_chairs(
         centers += outward * (size_m.z * (0.5 - push))[:, None]
         turns = np.degrees(np.arctan2(-outward[:, 0], -outward[:, 1]))
         turns = (turns + rng.uniform(-CHAIR_TURN_DEG, CHAIR_TURN_DEG, PLACES_DRAWN)) % 360
-        placed = _place(floor, "Chair", asset_id, size_m, _Places(centers, turns), table_shape)
+        if chairs:  # the places furthest from the chairs before come first
+            others = np.array([chair.center for chair in chairs])
+            order = np.argsort(-np.hypot(*(centers[:, None] - others).transpose(2, 0, 1)).min(axis=1))
+            centers, turns = centers[order], turns[order]
+        placed = _place(floor, "Chair", asset_id, size_m, _Places(centers, turns), may_cut_off, table_shape)
         if placed is not None:
             chairs.append(placed[0])
     return chairs

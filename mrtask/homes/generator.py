@@ -20,6 +20,7 @@ import networkx as nx
 import numpy as np
 
 from mrtask.homes.catalogue import CONTAINER_TYPES, Catalogue, load_catalogue
+from mrtask.homes.contents import draw_objects
 from mrtask.homes.floor_plan import OUTSIDE, FloorPlan, Wall, make_floor_plan
 from mrtask.homes.furnishing import Piece, Segment, furnish_room
 from mrtask.homes.home import LARGE_ABOVE_M2, SIZE_CLASSES, SMALL_BELOW_M2, Point
@@ -225,7 +226,7 @@ def _object_json(
     smalls = 0
     for number, piece in enumerate(pieces):
         children = []
-        for kind in _draw_objects(catalogue, room_type, piece.type, rng):
+        for kind in draw_objects(catalogue, room_type, piece.type, rng):
             asset_id, asset = next((name, catalogue.assets[name]) for name in catalogue.types[kind]["assets"])
             x, y = piece.center
             position = {"x": x, "y": round(piece.size_m.y + asset.size_m.y / 2, 3), "z": y}
@@ -251,20 +252,6 @@ def _object_json(
             }
         )
     return objects
-
-
-def _draw_objects(catalogue: Catalogue, room_type: str, container: str, rng: np.random.Generator) -> list[str]:
-    """Distinct object types: their number from the catalogue's shares, then by likelihood without replacement."""
-    facts = catalogue.objects.get(room_type, {}).get(container)
-    if facts is None or not facts["likelihoods"]:
-        return []
-    kinds = list(facts["likelihoods"])
-    likelihood_prob = np.clip(np.array(list(facts["likelihoods"].values())), 1e-3, 1 - 1e-3)
-    shares = np.array(facts["distinct_objects"])
-    count = min(int(rng.choice(len(shares), p=shares / shares.sum())), len(kinds))
-    # The largest Gumbel-shifted log odds are a draw without replacement, which keeps the likelihoods nearly.
-    keys = np.log(likelihood_prob / (1 - likelihood_prob)) + rng.gumbel(size=len(kinds))
-    return [kinds[index] for index in np.argsort(-keys, kind="stable")[:count]]
 
 
 def _point_along(wall: Wall, distance_m: float) -> Point:

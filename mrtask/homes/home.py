@@ -8,6 +8,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Any
 
 from shapely.geometry import Polygon as ShapelyPolygon
 
@@ -73,7 +74,16 @@ class Home:
         """The content hash (16 hex digits): equal for homes with equal content, whatever their source."""
         content = asdict(self)
         del content["source"]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return _content_hash(content)
+
+    @cached_property
+    def layout_id(self) -> str:
+        """Like ``id``, but without what the containers hold: homes that differ in nothing else have the same map."""
+        content = asdict(self)
+        del content["source"]
+        for container in content["containers"]:
+            del container["objects"]
+        return _content_hash(content)
 
     @cached_property
     def area_m2(self) -> float:
@@ -83,9 +93,7 @@ class Home:
     @property
     def size_class(self) -> str:
         """``small`` below 60 m2, ``large`` above 110 m2, else ``medium``."""
-        if self.area_m2 < SMALL_BELOW_M2:
-            return "small"
-        return "large" if self.area_m2 > LARGE_ABOVE_M2 else "medium"
+        return size_class_of(self.area_m2)
 
     @cached_property
     def room_types(self) -> dict[str, str]:
@@ -95,3 +103,14 @@ class Home:
     def container_kinds(self) -> list[tuple[str, str]]:
         """``(container type, room type)`` of each container, in the order of ``containers``."""
         return [(container.type, self.room_types[container.room_id]) for container in self.containers]
+
+
+def size_class_of(area_m2: float) -> str:
+    """The size class of a floor area."""
+    if area_m2 < SMALL_BELOW_M2:
+        return "small"
+    return "large" if area_m2 > LARGE_ABOVE_M2 else "medium"
+
+
+def _content_hash(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

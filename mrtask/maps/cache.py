@@ -1,7 +1,7 @@
-"""Maps kept on disk, named by the content of their home and by all that they depend on.
+"""Maps kept on disk, named by the layout of their home and by all that they depend on.
 
-Only the free cells' distances are stored. Files appear whole or not at all, so several processes may share a folder; a
-damaged file is made anew.
+What the containers hold is no part of the layout. Only the free cells' distances are stored. Files appear whole or not
+at all, so several processes may share a folder; a damaged file is made anew.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ from mrtask.maps.home_map import (
     build_map,
 )
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """To be raised when a map's making or its file changes."""
 
 
@@ -37,8 +37,8 @@ def cached_map(
     """`build_map`, or what it gave for the same home and parameters before; without ``cache_dir`` always built."""
     if cache_dir is None:
         return build_map(home, resolution_m, robot_radius_m)
-    key = [FORMAT_VERSION, home.id, resolution_m, robot_radius_m, REACH_M, DOOR_DEPTH_M, CORNER_SEGMENTS]
-    path = cache_dir / f"{home.id}-{hashlib.sha256(json.dumps(key).encode()).hexdigest()[:16]}.npz"
+    key = [FORMAT_VERSION, home.layout_id, resolution_m, robot_radius_m, REACH_M, DOOR_DEPTH_M, CORNER_SEGMENTS]
+    path = cache_dir / f"{home.layout_id}-{hashlib.sha256(json.dumps(key).encode()).hexdigest()[:16]}.npz"
     if (stored := _load(path, home.id)) is not None:
         return stored
     home_map = build_map(home, resolution_m, robot_radius_m)

@@ -1,16 +1,19 @@
 """Draws a home as a floor plan: rooms, doors, furniture with what it holds, and where the robot can be."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib.patheffects as patheffects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 from matplotlib.path import Path
+from shapely import get_coordinates, maximum_inscribed_circle, union_all
 from shapely.geometry import Polygon as ShapelyPolygon
 
-from mrtask.homes.home import Home
+from mrtask.homes.home import SIZE_CLASSES, Home, Polygon, Room
 from mrtask.maps.home_map import HomeMap
 
 ROOM_COLORS: Mapping[str, str] = {
@@ -23,9 +26,18 @@ OTHER_ROOM_COLOR = "#eeeeee"
 FULL_COLOR, EMPTY_COLOR, OBSTACLE_COLOR = "#c98a4b", "#eadbc8", "#b9bdc1"
 WALL_COLOR, ACCESS_COLOR, BLOCKED_COLOR = "#3b3f45", "#1f6fb2", "#00000018"
 WALL_WIDTH_PT = 2.4
-WIDE_TYPE_M = 0.9
-"""Furniture narrower than this in both directions gets no name."""
 MARGIN_M = 0.3
+ROOM_FONT_PT, MAX_FONT_PT, MIN_FONT_PT = 7.0, 6.0, 2.5
+"""Furniture is labelled as large as it allows between the last two, and not at all where even the smallest is too
+large."""
+POINTS_PER_INCH = 72
+CHAR_WIDTH, LINE_HEIGHT = 0.65, 1.3
+"""Of a font's size."""
+UNNAMED_TYPES = frozenset({"Chair"})
+"""They stand close together around tables, whose names they would hide."""
+CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5}
+ROOM_NAME_COLOR = "#555b63"
+GALLERY_CELL_IN = 4.0
 
 
 def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool = True, names: bool = True) -> None:
@@ -35,6 +47,11 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
     grey.
     With a map, floor out of the robot's reach is shaded and a dot marks where each container is reached.
     """
+    xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
+    ax.set_xlim(min(xs) - MARGIN_M, max(xs) + MARGIN_M)
+    ax.set_ylim(min(ys) - MARGIN_M, max(ys) + MARGIN_M)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
     for room in home.rooms:
         ax.add_patch(Patch(room.polygon, facecolor=ROOM_COLORS.get(room.type, OTHER_ROOM_COLOR), edgecolor="none"))
     if home_map is not None:
@@ -45,12 +62,14 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
     for container in sorted(home.containers, key=lambda container: -ShapelyPolygon(container.footprint).area):
         color = FULL_COLOR if container.objects else EMPTY_COLOR
         ax.add_patch(Patch(container.footprint, facecolor=color, edgecolor="white", linewidth=0.6, zorder=2))
-        _label(container.type, container.footprint, len(container.objects) if objects else 0, names, ax)
+        named = names and container.type not in UNNAMED_TYPES
+        lines = [container.type] * named + [str(len(container.objects))] * (objects and bool(container.objects))
+        _label(lines, container.footprint, ax)
     _draw_walls(home, ax)
     if names:
         for room in home.rooms:
-            spot = ShapelyPolygon(room.polygon).representative_point()
-            text = ax.text(spot.x, spot.y, room.type, ha="center", va="center", fontsize=7, color="#555b63", zorder=5)
+            x, y = _clear_spot(home, room)
+            text = ax.text(x, y, room.type, fontsize=ROOM_FONT_PT, color=ROOM_NAME_COLOR, **CENTERED)
             text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="#ffffffb0")])
     if home_map is not None:
         spots = np.array(
@@ -58,11 +77,27 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
         )
         if len(spots):
             ax.scatter(spots[:, 0], spots[:, 1], s=7, color=ACCESS_COLOR, zorder=6, linewidths=0)
-    xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
-    ax.set_xlim(min(xs) - MARGIN_M, max(xs) + MARGIN_M)
-    ax.set_ylim(min(ys) - MARGIN_M, max(ys) + MARGIN_M)
-    ax.set_aspect("equal")
-    ax.set_axis_off()
+
+
+def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figure:
+    """Homes side by side: a block of columns for each title, a row for each size class."""
+    rows = [
+        name for name in SIZE_CLASSES if any(home.size_class == name for block in columns.values() for home, _ in block)
+    ]
+    widths = [max(sum(home.size_class == name for home, _ in block) for name in rows) for block in columns.values()]
+    figure = Figure(figsize=(GALLERY_CELL_IN * sum(widths), GALLERY_CELL_IN * len(rows)), layout="constrained")
+    blocks = figure.subfigures(1, len(columns), squeeze=False, width_ratios=widths)[0]
+    for block, width, (title, homes) in zip(blocks, widths, columns.items(), strict=True):
+        block.suptitle(title)
+        axes = block.subplots(len(rows), width, squeeze=False)
+        for name, line in zip(rows, axes, strict=True):
+            members = [pair for pair in homes if pair[0].size_class == name]
+            for ax, (home, home_map) in zip(line, members, strict=False):
+                draw_home(home, home_map, ax)
+                ax.set_title(f"{name}, {home.area_m2:.0f} m2, {len(home.containers)} containers", fontsize=ROOM_FONT_PT)
+            for ax in line[len(members) :]:
+                ax.set_axis_off()
+    return figure
 
 
 def _shade_blocked(home_map: HomeMap, ax: Axes) -> None:
@@ -96,9 +131,33 @@ def _draw_walls(home: Home, ax: Axes) -> None:
         )
 
 
-def _label(kind: str, footprint: tuple[tuple[float, float], ...], count: int, names: bool, ax: Axes) -> None:
+def _clear_spot(home: Home, room: Room) -> tuple[float, float]:
+    """The middle of the largest circle on the room's floor that no furniture stands in."""
+    floor = ShapelyPolygon(room.polygon)
+    footprints = [*(item.footprint for item in home.containers), *(item.footprint for item in home.obstacles)]
+    clear = floor.difference(union_all([ShapelyPolygon(footprint) for footprint in footprints]))
+    x, y = get_coordinates(maximum_inscribed_circle(floor if clear.is_empty else clear))[0]
+    return float(x), float(y)
+
+
+def _label(lines: list[str], footprint: Polygon, ax: Axes) -> None:
+    """Writes the lines into a piece of furniture, along its longer side; only the last where all do not fit."""
     shape = ShapelyPolygon(footprint)
     x0, y0, x1, y1 = shape.bounds
-    text = "\n".join([kind] * (names and max(x1 - x0, y1 - y0) >= WIDE_TYPE_M) + [str(count)] * (count > 0))
     turn = 90 if y1 - y0 > 1.3 * (x1 - x0) else 0
-    ax.text(shape.centroid.x, shape.centroid.y, text, ha="center", va="center", fontsize=4.5, rotation=turn, zorder=5)
+    long_pt, short_pt = (side * _points_per_m(ax) for side in ((y1 - y0, x1 - x0) if turn else (x1 - x0, y1 - y0)))
+    while lines:
+        widest = max(map(len, lines))
+        font_pt = min(MAX_FONT_PT, long_pt / (CHAR_WIDTH * widest), short_pt / (LINE_HEIGHT * len(lines)))
+        if font_pt >= MIN_FONT_PT:
+            middle = shape.centroid
+            ax.text(middle.x, middle.y, "\n".join(lines), fontsize=font_pt, rotation=turn, **CENTERED)
+            return
+        lines = lines[1:]
+
+
+def _points_per_m(ax: Axes) -> float:
+    """The drawing's scale, for an axis of equal aspect."""
+    box = ax.get_window_extent()
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    return POINTS_PER_INCH / ax.figure.dpi * min(box.width / (x1 - x0), box.height / (y1 - y0))

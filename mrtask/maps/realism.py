@@ -2,24 +2,19 @@
 
 Numbers are compared by the Kolmogorov-Smirnov distance, kinds (room types, container types, objects) by the total
 variation distance. The yardstick of a row is the same distance between two random halves of the real homes.
-
-    python -m mrtask.maps.realism homes.jsonl.gz [more ...] --assets asset-database.json --homes 300
+``python -m pipeline.realism`` makes the table.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from mrtask.homes.generator import generate_house
 from mrtask.homes.home import SIZE_CLASSES, Home
-from mrtask.homes.procthor import parse_house, read_houses
-from mrtask.maps.home_map import DEFAULT_ROBOT_RADIUS_M, HomeMap, build_map, main_region_share
+from mrtask.maps.home_map import DEFAULT_ROBOT_RADIUS_M, HomeMap, main_region_share
 
 HALVINGS = 20
 ROOM_TYPES = ("Kitchen", "LivingRoom", "Bedroom", "Bathroom")
@@ -138,25 +133,3 @@ def _tv_distance(first: Values, second: Values) -> float:
     return 0.5 * sum(
         abs(ours[kind] / max(len(first), 1) - theirs[kind] / max(len(second), 1)) for kind in ours | theirs
     )
-
-
-def main() -> None:
-    """Print the comparison of freshly generated homes with the real ones of some files."""
-    parser = argparse.ArgumentParser(description="compare generated homes with real ones")
-    parser.add_argument("files", nargs="+", type=Path, help="ProcTHOR houses, .jsonl or .jsonl.gz")
-    parser.add_argument("--assets", type=Path, help="ProcTHOR's asset-database.json")
-    parser.add_argument("--homes", type=int, default=300, help="generated homes per size class")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    real = [describe_home(home, build_map(home)) for home in read_houses(arguments.files, arguments.assets)]
-    generated = []
-    for size_class in SIZE_CLASSES:
-        for number in range(arguments.homes):
-            home = parse_house(generate_house(arguments.seed + number, size_class), None, "generated", number)
-            generated.append(describe_home(home, build_map(home)))
-    table = compare_homes(generated, real, arguments.seed)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.3f}"))
-
-
-if __name__ == "__main__":
-    main()

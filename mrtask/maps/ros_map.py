@@ -8,9 +8,10 @@ Source: the map_server format of ROS 1 and nav2 (image, resolution, origin, nega
       - {name: fridge, type: Fridge, room: kitchen, position: [1.0, 2.5], objects: [Egg]}
       - {name: desk-1, type: Desk, room: office, position: [4.2, 0.8], size: [1.4, 0.7], yaw_deg: 90}
 
-``objects`` is what a simulation puts there; ``size`` (width, depth) is the type's usual one by default. A scan has no
-rooms, so each piece of floor goes to the room of the container with the shortest way to it; where two such rooms meet
-there is an opening, so that only what is on the scan stands in a robot's way.
+``objects`` is what a simulation puts there; where no container of the file has it, `read_map_worlds` draws contents.
+``size`` (width, depth) is the type's usual one by default. A scan has no rooms, so each piece of floor goes to the room
+of the container with the shortest way to it; where two such rooms meet there is an opening, so that only what is on the
+scan stands in a robot's way.
 """
 
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import ndimage
 
 from mrtask.homes.catalogue import Size, load_catalogue
+from mrtask.homes.contents import fill_home, rooms_with
 from mrtask.homes.home import Container, Door, Home, Obstacle, Polygon, Room
 from mrtask.homes.procthor import rotated_rectangle
 from mrtask.maps.distance_fields import distance_fields
@@ -75,7 +77,7 @@ class _ContainerEntry(_Schema):
     position: list[_Finite] = Field(min_length=2, max_length=2)
     size: list[_Positive] | None = Field(default=None, min_length=2, max_length=2)
     yaw_deg: _Finite = 0.0
-    objects: list[_Name] = []
+    objects: list[_Name] | None = None
 
 
 class _ContainersFile(_Schema):
@@ -132,6 +134,30 @@ class _YamlFile:
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False, include_input=False)[0]
             raise self.error(tuple(first["loc"]), first["msg"][:1].lower() + first["msg"][1:]) from None
+
+
+def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: int, seed: int) -> tuple[Home, ...]:
+    """The scanned floor as homes: with the contents listed, one; where none is listed, ``worlds`` with contents drawn.
+
+    Contents come from the catalogue's likelihoods; world k of a seed is the same whatever ``worlds``. Raises
+    `MapError`, also where contents are to be drawn for a container of a type that the catalogue does not know.
+    """
+    home = read_ros_map(map_path, containers_path)
+    containers_file = _YamlFile(Path(containers_path))
+    listed = containers_file.check(_ContainersFile).containers
+    if any(entry.objects is not None for entry in listed):
+        return (home,)
+    catalogue = load_catalogue()
+    for index, entry in enumerate(listed):
+        if not rooms_with(catalogue, entry.type):
+            known = sorted({kind for containers in catalogue.objects.values() for kind in containers})
+            problem = (
+                f"what a {entry.type} holds is not known; choose one of {', '.join(known)}, "
+                "or list the objects of the containers"
+            )
+            raise containers_file.error(("containers", index, "type"), problem)
+    drawn = (fill_home(home, np.random.default_rng([seed, number])) for number in range(worlds))
+    return tuple({world.id: world for world in drawn}.values())
 
 
 def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
@@ -203,7 +229,7 @@ def _container(entry: _ContainerEntry) -> Container:
     size_m = usual if entry.size is None else Size(entry.size[0], usual.y, entry.size[1])
     # The footprint's turn is Unity's, clockwise; a map's yaw is counter-clockwise.
     footprint = rotated_rectangle(entry.position[0], entry.position[1], size_m, -entry.yaw_deg)
-    return Container(entry.name, entry.type, entry.room, footprint, tuple(sorted(set(entry.objects))))
+    return Container(entry.name, entry.type, entry.room, footprint, tuple(sorted(set(entry.objects or ()))))
 
 
 def _nearest_floor(floor: NDArray[np.bool_], facts: _MapFile, footprint: Polygon) -> tuple[int, int] | None:

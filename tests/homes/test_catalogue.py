@@ -2,9 +2,11 @@ import gzip
 import json
 
 import pytest
+from shapely.geometry import Polygon
 
 from mrtask.homes.catalogue import CONTAINER_TYPES, load_catalogue
-from mrtask.homes.derive_catalogue import derive
+from mrtask.homes.derive_catalogue import _cell_side_m, derive
+from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import load_asset_types
 
 
@@ -33,8 +35,20 @@ def test_facts_are_consistent():
         assert set(catalogue.objects[room]) <= CONTAINER_TYPES
     for size_class in catalogue.homes["size_classes"].values():
         assert sum(entry["share"] for entry in size_class.values()) == pytest.approx(1, abs=0.01)
+    assert set(catalogue.homes["footprints"]) == set(SIZE_CLASSES)
+    for facts in catalogue.homes["footprints"].values():
+        assert all(quantiles == sorted(quantiles) for quantiles in facts.values())
+        assert 0 < facts["fill"][0] <= facts["fill"][-1] == 1 <= facts["aspect"][0]
     for spec in catalogue.homes["specs"].values():
         assert sum(room["area_share"] for room in spec) == pytest.approx(1, abs=0.12)
+
+
+@pytest.mark.parametrize("side_m", [1.6, 1.737, 1.95, 2.2])
+def test_the_side_of_a_floor_plans_cells_is_found(side_m):
+    # Rooms of 2 x 3 and 3 x 3 cells, the second an L.
+    rooms = [[(0, 0), (0, 3), (2, 3), (2, 0)], [(2, 0), (2, 3), (5, 3), (5, 1), (4, 1), (4, 0)]]
+    floors = [Polygon([(round(x * side_m, 3), round(y * side_m, 3)) for x, y in room]) for room in rooms]
+    assert _cell_side_m(floors) == pytest.approx(side_m, abs=0.01)
 
 
 def test_likelihoods_agree_with_the_numbers_of_objects():

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from shapely.geometry import LineString, Polygon
 
 from mrtask.homes import floor_plan
+from mrtask.homes.catalogue import load_catalogue
 from mrtask.homes.floor_plan import OUTSIDE, make_floor_plan
+from mrtask.homes.home import size_class_of
 
 
 def check_plan(plan, shares, area_m2):
@@ -47,6 +49,34 @@ def test_rooms_get_their_shares_and_are_not_all_rectangles():
         corners += [len(room) for room in plan.rooms]
     assert np.mean(errors) < 0.06
     assert 0.2 < np.mean(np.array(corners) > 4) < 0.9
+
+
+@pytest.mark.parametrize(("area_m2", "rooms"), [(40.0, 2), (85.0, 3), (160.0, 6)])
+def test_footprints_are_as_full_and_as_long_as_the_catalogue_says(area_m2, rooms):
+    facts = load_catalogue().homes["footprints"][size_class_of(area_m2)]
+    fills, aspects = [], []
+    for seed in range(120):
+        plan = make_floor_plan([1.0] * rooms, area_m2, np.random.default_rng(seed))
+        x0, y0, x1, y1 = shapely.union_all([Polygon(room) for room in plan.rooms]).bounds
+        fills.append(area_m2 / ((x1 - x0) * (y1 - y0)))
+        aspects.append(max(x1 - x0, y1 - y0) / min(x1 - x0, y1 - y0))
+    assert np.mean(fills) == pytest.approx(np.mean(facts["fill"]), abs=0.05)
+    assert np.mean(aspects) == pytest.approx(np.mean(facts["aspect"]), rel=0.15)
+
+
+def test_the_seeds_of_rooms_are_apart():
+    grid = np.full((8, 8), floor_plan.EMPTY)
+    apart = []
+    for seed in range(200):
+        seeds = floor_plan._seeds(grid, 4, np.random.default_rng(seed))
+        assert len(set(seeds)) == 4
+        apart += [np.hypot(a[0] - b[0], a[1] - b[1]) for a, b in combinations(seeds, 2)]
+    cells = np.argwhere(grid == floor_plan.EMPTY)
+    anywhere = [np.hypot(*(a - b)) for a, b in combinations(cells, 2)]
+    assert np.mean(apart) > 1.1 * np.mean(anywhere)
+    assert sorted(floor_plan._seeds(np.full((2, 2), floor_plan.EMPTY), 4, np.random.default_rng(0))) == [
+        (0, 0), (0, 1), (1, 0), (1, 1),
+    ]  # fmt: skip
 
 
 def test_strips_serve_where_no_plan_is_sound(monkeypatch):

@@ -1,5 +1,6 @@
 import gzip
 import json
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,10 +10,11 @@ from hypothesis import strategies as st
 from shapely.geometry import LineString, Polygon
 
 from mrtask.homes.catalogue import load_catalogue
+from mrtask.homes.furnishing import POCKET_SHARE, furnish_room
 from mrtask.homes.generator import generate_house, write_houses
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import load_asset_types, parse_house, read_houses
-from mrtask.maps.home_map import build_map
+from mrtask.maps.home_map import DEFAULT_ROBOT_RADIUS_M, build_map, main_region_share
 
 
 def check_home(home):
@@ -46,6 +48,7 @@ def test_homes_are_valid_of_their_size_and_reachable(size_class, seed):
     check_home(home)
     home_map = build_map(home)
     assert home_map.reachable.all()
+    assert main_region_share(home, home_map.resolution_m, DEFAULT_ROBOT_RADIUS_M) > 1 - POCKET_SHARE
     rows, cols = np.nonzero(home_map.free)
     xs, ys = home_map.cell_center((rows, cols))
     for room in home.rooms:
@@ -88,6 +91,30 @@ def test_writing_is_all_or_nothing(tmp_path):
         write_houses(path, failing())
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_chairs_stand_around_their_table_and_under_it():
+    room = load_catalogue().rooms["Kitchen"]
+    facts = {
+        **room,
+        "furniture": {"DiningTable": [[0.0, 1.0]] * 6},
+        "chairs_at": {"DiningTable": [[0.0, 0.0, 0.0, 0.0, 1.0]] * 6},
+    }
+    catalogue = replace(load_catalogue(), rooms={"Kitchen": facts})
+    outline = ((0.0, 0.0), (0.0, 7.0), (7.0, 7.0), (7.0, 0.0))
+    sides = []
+    for seed in range(30):
+        table, *chairs = furnish_room("Kitchen", outline, [], catalogue, np.random.default_rng(seed))
+        assert [table.type, *(chair.type for chair in chairs)] == ["DiningTable", *["Chair"] * len(chairs)]
+        turn = np.radians(table.rotation_deg)
+        for chair in chairs:
+            east, north = np.subtract(chair.center, table.center)
+            across, along = east * np.cos(turn) - north * np.sin(turn), east * np.sin(turn) + north * np.cos(turn)
+            outside = max(abs(across) - table.size_m.x / 2, abs(along) - table.size_m.z / 2)
+            assert 0 < outside < chair.size_m.z / 2, "its middle is beside the table and its front under it"
+        bearings = [np.arctan2(*np.subtract(chair.center, table.center)[::-1]) for chair in chairs]
+        sides.append(len({round(bearing / (np.pi / 2)) % 4 for bearing in bearings}))
+    assert np.mean(sides) > 2.5
 
 
 def test_objects_follow_the_catalogue():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,12 @@ def test_a_failed_write_leaves_nothing(tmp_path, two_room_home, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         cached_map(two_room_home, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_homes_that_differ_in_their_objects_share_a_map(tmp_path, two_room_home, builds):
+    emptied = replace(two_room_home, containers=tuple(replace(c, objects=()) for c in two_room_home.containers))
+    moved = replace(two_room_home, containers=two_room_home.containers[::-1])
+    maps = [cached_map(home, tmp_path) for home in (two_room_home, emptied, moved)]
+    assert [home_map.home_id for home_map in maps] == [two_room_home.id, emptied.id, moved.id]
+    np.testing.assert_array_equal(maps[0].fields_m, maps[1].fields_m)
+    assert len(builds) == 2

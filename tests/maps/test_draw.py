@@ -5,9 +5,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import shapely
 from matplotlib.colors import to_rgb
 
-from mrtask.maps.draw import FULL_COLOR, ROOM_COLORS, draw_home
+from mrtask.maps.draw import FULL_COLOR, ROOM_COLORS, draw_gallery, draw_home
+from mrtask.maps.home_map import build_map
 
 
 @pytest.fixture
@@ -49,3 +51,30 @@ def test_pictures_can_be_saved(tmp_path, ax, generated_homes, suffix):
     path = tmp_path / f"home.{suffix}"
     ax.figure.savefig(path)
     assert path.stat().st_size > 5000
+
+
+def test_names_stay_inside_their_furniture_and_rooms_are_named_on_clear_floor(ax, generated_homes):
+    home = generated_homes[-1]
+    draw_home(home, None, ax)
+    ax.figure.canvas.draw()
+    furniture = [shapely.Polygon(item.footprint) for item in (*home.containers, *home.obstacles)]
+    room_types = {room.type for room in home.rooms}
+    named = 0
+    for text in ax.texts:
+        box = text.get_window_extent().transformed(ax.transData.inverted())
+        middle = shapely.Point((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+        if text.get_text() in room_types:
+            assert not shapely.union_all(furniture).covers(middle)
+        else:
+            own = min(furniture, key=lambda shape: shape.centroid.distance(shapely.Point(text.get_position())))
+            x0, y0, x1, y1 = own.bounds
+            assert box.x0 > x0 - 0.1 and box.x1 < x1 + 0.1 and box.y0 > y0 - 0.1 and box.y1 < y1 + 0.1
+            named += not text.get_text().isdigit()
+    assert named > 5
+
+
+def test_a_gallery_has_a_row_for_each_size_class(generated_homes):
+    pairs = [(home, build_map(home, 0.1)) for home in generated_homes if home.size_class != "medium"]
+    figure = draw_gallery({"one": pairs, "other": pairs[:2]})
+    titles = [ax.get_title().partition(",")[0] for block in figure.subfigs for ax in block.axes]
+    assert titles == ["small"] * 3 + ["large"] * 3 + ["small"] * 2 + [""] * 2

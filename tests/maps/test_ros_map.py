@@ -5,7 +5,7 @@ from PIL import Image
 from shapely.geometry import Polygon
 
 from mrtask.maps.home_map import build_map
-from mrtask.maps.ros_map import MapError, read_ros_map
+from mrtask.maps.ros_map import MapError, read_map_worlds, read_ros_map
 
 MAP = """image: floor.pgm
 resolution: 0.05
@@ -192,3 +192,29 @@ def test_missing_and_empty_files(tmp_path):
         read_ros_map(map_path, containers)
     with pytest.raises(MapError, match=r"none\.yaml: cannot be read"):
         read_ros_map(map_path, tmp_path / "none.yaml")
+
+
+UNLISTED = CONTAINERS.replace(", objects: [Egg, Apple, Egg]", "").replace("type: Rack", "type: ShelvingUnit")
+
+
+def test_listed_contents_are_the_only_world(tmp_path):
+    paths = write(tmp_path)
+    assert read_map_worlds(*paths, worlds=5, seed=0) == (read_ros_map(*paths),)
+    emptied = write(tmp_path, containers=UNLISTED.replace("[0.6, 0.6]", "[0.6, 0.6], objects: []"))
+    assert read_map_worlds(*emptied, worlds=5, seed=0) == (read_ros_map(*emptied),)
+
+
+def test_unlisted_contents_are_drawn_for_each_world(tmp_path):
+    paths = write(tmp_path, containers=UNLISTED)
+    worlds = read_map_worlds(*paths, worlds=6, seed=1)
+    assert len({world.id for world in worlds}) == len(worlds) == 6
+    assert {world.layout_id for world in worlds} == {read_ros_map(*paths).layout_id}
+    assert read_map_worlds(*paths, worlds=2, seed=1) == worlds[:2]
+    assert read_map_worlds(*paths, worlds=6, seed=2) != worlds
+
+
+def test_contents_of_an_unknown_type_cannot_be_drawn(tmp_path):
+    paths = write(tmp_path, containers=CONTAINERS.replace(", objects: [Egg, Apple, Egg]", ""))
+    message = r"containers\.yaml, line 6: containers\[2\]\.type: what a Rack holds is not known; choose one of Arm"
+    with pytest.raises(MapError, match=message):
+        read_map_worlds(*paths, worlds=2, seed=0)

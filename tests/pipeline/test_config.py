@@ -29,8 +29,8 @@ def make(*overrides: str) -> Config:
 
 @pytest.mark.parametrize("path", sorted(CONF_DIR.glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_option_of_every_group_is_valid(path: Path) -> None:
-    needed = ["homes.files=[a.jsonl]"] if path.stem == "procthor" else []
-    make(f"{path.parent.name}={path.stem}", *needed)
+    needed = {"procthor": ["homes.files=[a.jsonl]"], "ros_map": ["homes.map=a.yaml", "homes.containers=b.yaml"]}
+    make(f"{path.parent.name}={path.stem}", *needed.get(path.stem, []))
 
 
 def test_defaults_are_the_papers_experiment() -> None:
@@ -78,6 +78,12 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["cluster.address=nowhere"], ["cluster.address=nowhere"]),
         (["homes=procthor"], ["homes.files", "a value is needed"]),
         (["homes=procthor", "homes.files=[]"], ["homes.files"]),
+        (["homes=ros_map", "homes.map=a.yaml"], ["homes.containers", "a value is needed"]),
+        (
+            ["homes=ros_map", "homes.map=[a.yaml,b.yaml]", "homes.containers=c.yaml"],
+            ["homes.map lists 2 and homes.containers 1; give one for each map"],
+        ),
+        (["realism.models=[best]"], ["realism.models.0=best", *MODEL_KINDS]),
         (["+foo=1"], ["foo: no such key", "evaluation", "homes"]),
         (["+evaluation.robot=1"], ["evaluation.robot: no such key", "did you mean robots?"]),
         (["+homes.count=1"], ["homes.count: no such key", "train"]),
@@ -102,7 +108,7 @@ def test_options_of_an_own_planner_stand_under_its_name() -> None:
 
 def test_model_kinds_and_training_options_fit_the_library() -> None:
     assert get_args(Model.model_fields["kind"].annotation) == MODEL_KINDS
-    options = train._options(make("model=mlp", "seed=3", "trainer.max_epochs=7"))
+    options = train.training_options(make("model=mlp", "seed=3", "trainer.max_epochs=7"))
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
 

@@ -126,17 +126,20 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
 
 def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     houses = [generate_house(seed, "small") for seed in range(3)]
-    write_houses(workspace.path / "others.jsonl.gz", houses)
+    write_houses(workspace.path / "others.jsonl.gz", [{"name": "no house"}, *houses])
     done = cli(
         "evaluate",
         *workspace.overrides,
         "evaluation.homes.files=[others.jsonl.gz]",
+        "evaluation.homes.skip_faulty=true",
         "evaluation.size_classes=[small]",
         "output_dir=outputs/others",
         cwd=workspace.path,
     )
     assert done.code == 0
     assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
+    assert "faulty homes left out: 1; the first: others.jsonl.gz, home 0" in done.out
+    assert json.loads((workspace.path / "outputs/others/evaluation.json").read_text())["homes"]["skipped"] == 1
 
 
 def test_homes_of_the_training_are_left_out(workspace: Workspace, cli: Cli) -> None:
@@ -246,12 +249,32 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     assert "7 homes are asked for" in few.err and "homes.train" in few.err
 
 
+def test_faulty_homes_are_left_out_and_counted_where_that_is_asked_for(cli: Cli, tmp_path: Path) -> None:
+    houses = [generate_house(seed, "small") for seed in range(4)]
+    write_houses(tmp_path / "some.jsonl", [houses[0], dict(houses[1], rooms=[]), *houses[2:], {"name": "no house"}])
+    options = [*HOUSES, "homes.files=[some.jsonl]"]
+    refused = cli("homes", *options)
+    assert refused.code == 2
+    assert "some.jsonl, home 1: rooms" in refused.err and "homes.skip_faulty=true" in refused.err
+    done = cli("homes", *options, "homes.skip_faulty=true")
+    assert done.code == 0, done.err
+    assert "faulty homes left out: 2; the first: some.jsonl, home 1: rooms" in done.out
+    [folder] = (tmp_path / "datasets" / "homes").iterdir()
+    manifest = artifacts.read_manifest(folder)
+    assert (manifest["homes"], manifest["skipped"]) == (3, 2)
+    assert [fault.partition(": ")[0] for fault in manifest["faults"]] == ["some.jsonl, home 1", "some.jsonl, home 4"]
+    write_houses(tmp_path / "none.jsonl", [{"name": "no house"}])
+    none = cli("homes", *HOUSES, "homes.files=[none.jsonl]", "homes.skip_faulty=true")
+    assert none.code == 2
+    assert "no home can be used, all 1 are faulty; the first: none.jsonl, home 0" in none.err
+
+
 def test_floor_plans_are_drawn(workspace: Workspace, cli: Cli) -> None:
     done = cli("homes", *workspace.overrides, "draw=true", "output_dir=outputs/drawn", cwd=workspace.path)
     assert done.code == 0
     drawn = sorted(path.name for path in (workspace.path / "outputs" / "drawn" / "homes").iterdir())
-    assert len(drawn) == 24
-    assert {name.partition("-")[0] for name in drawn} == {"small", "medium", "large"}
+    assert len(drawn) == 26
+    assert {name.partition("-")[0] for name in drawn} == {"small", "medium", "large", "gallery.png", "gallery.svg"}
     assert {name.partition(".")[2] for name in drawn} == {"png", "svg"}
 
 
