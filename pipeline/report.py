@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 
+from mrtask.analysis.curves import BUDGET
 from mrtask.analysis.report import homes_to_draw, render_report
 from mrtask.homes.home import Home
 from pipeline import console, homes, tracking
@@ -68,7 +69,7 @@ def collect(folder: Folder) -> tuple[pd.DataFrame, dict[str, Any]]:
     manifests = [(cell, _manifest(cell)) for cell in cells]
     finished = [(cell, manifest) for cell, manifest in manifests if manifest is not None]
     if finished:
-        frames = [read_episodes(cell / EPISODES).assign(sweep=manifest["sweep"]) for cell, manifest in finished]
+        frames = [_episodes(cell, manifest).assign(sweep=manifest["sweep"]) for cell, manifest in finished]
         last = finished[-1][1]
         expected = sum(manifest["expected_episodes"] for _, manifest in finished)
         return pd.concat(frames, ignore_index=True), last | {
@@ -81,7 +82,14 @@ def collect(folder: Folder) -> tuple[pd.DataFrame, dict[str, Any]]:
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     stages = folder.read(STAGES)
-    return read_episodes(folder / EPISODES), manifest | ({"stages": json.loads(stages)} if stages else {})
+    return _episodes(folder, manifest), manifest | ({"stages": json.loads(stages)} if stages else {})
+
+
+def _episodes(folder: Folder, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """A run's episodes with how many samples a decision each planner was given."""
+    rows = read_episodes(folder / EPISODES)
+    budgets = {name: options.get("samples") for name, options in manifest["planner_options"].items()}
+    return rows.assign(**{BUDGET: rows["planner"].map(budgets).astype("float64")})
 
 
 def _manifest(folder: Folder) -> dict[str, Any] | None:

@@ -240,9 +240,9 @@ def _improvement(summary: Summary, cell: tuple[str, int], planner: str, baseline
 
 
 def _errors(estimates: Sequence[Estimate]) -> Floats:
-    """[2, N] the interval's lengths below and above the value; 0 where there is no interval."""
+    """[2, N] the interval's lengths below and above the value; NaN, which is not drawn, where there is no interval."""
     lengths = np.array([[each.value - each.low, each.high - each.value] for each in estimates]).T
-    return np.asarray(np.nan_to_num(np.maximum(lengths, 0)), dtype=np.float64)
+    return np.asarray(np.maximum(lengths, 0), dtype=np.float64)
 
 
 def _points_with_intervals(

@@ -15,7 +15,7 @@ import jinja2
 import pandas as pd
 from matplotlib.figure import Figure
 
-from mrtask.analysis import facts, figures, tables
+from mrtask.analysis import curves, facts, figures, tables
 from mrtask.analysis.episodes import Variant, prepare, variants_in_order
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.published import load_published
@@ -24,6 +24,8 @@ from mrtask.analysis.style import data_uri, short_name
 from mrtask.analysis.trajectories import draw_trial, instructive_trials
 from mrtask.homes.home import Home
 
+RULE = "greedy"
+"""The strongest planner without search: what search is worth is its improvement over this one."""
 TEMPLATE = "report.html.jinja"
 REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
 
@@ -80,6 +82,13 @@ def render_report(
             figures.sweep(summaries, planner, BASELINES) if planner else None,
             "Improvement by variant",
             "All team sizes together, 95 % paired bootstrap intervals.",
+        ),
+        "samples_picture": _picture(
+            curves.by_samples(frame, planner),
+            "Cost against samples",
+            "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same trials "
+            "paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: planners "
+            "that take no samples.",
         ),
         "paper_table": tables.paper_table(summary, published, planner),
         "planner_table": tables.planner_table(summary),
@@ -164,8 +173,25 @@ def _charts(rows: pd.DataFrame, summary: Summary, planner: str | None) -> list[P
             "Planning time per decision",
             "Median and quartiles over episodes; whiskers from the 5th to the 95th percentile.",
         ),
+        _picture(
+            curves.by_team(rows, planner) if planner else None,
+            "Cost and planning time by team size",
+            f"All size classes together, bands are 95 % bootstrap intervals. {_where_search_helps(rows, planner)}",
+        ),
     ]
     return [picture for picture in drawn if picture]
+
+
+def _where_search_helps(rows: pd.DataFrame, planner: str | None) -> str:
+    found = curves.worth_by_team(rows, planner, RULE) if planner else None
+    if found is None:
+        return ""
+    told = [
+        f"{how} with {', '.join(map(str, teams))}"
+        for how, teams in (("clearly sooner", found.clear), ("not clearly sooner", found.unclear))
+        if teams
+    ]
+    return f"Against {RULE}, {short_name(planner or '')} is {' robots, '.join(told)} robots."
 
 
 def _trajectories(rows: pd.DataFrame, homes: Mapping[str, Home], planner: str | None) -> list[Picture]:
