@@ -24,7 +24,7 @@ os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
-from ray.exceptions import GetTimeoutError, RayError, RayTaskError
+from ray.exceptions import RayError, RayTaskError
 
 from pipeline import interrupt
 from pipeline.config import Cluster, UserError
@@ -43,6 +43,7 @@ HARD_LIMIT_GRACE_S = 60.0
 """A task that does not react to its time limit (a hang in compiled code) has its worker killed after this much more."""
 EXCEPTION_RETRIES = 1
 CONNECT_TIMEOUT_S = 5.0
+ADDRESSES = "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -129,6 +130,10 @@ class Pool:
     ) -> None:
         if self._owns_ray:
             ray.shutdown()
+
+    def start(self) -> None:
+        """Connects now, so that a cluster that cannot be used is told before there is anything to undo."""
+        _ = self.slots
 
     @property
     def slots(self) -> int:
@@ -294,10 +299,11 @@ def _start(cluster: Cluster) -> None:
         _check_reachable(cluster.address)
     try:
         ray.init(address=cluster.address, **options)
-    except (ConnectionError, RuntimeError, ValueError, OSError, GetTimeoutError) as error:
+    except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
+        said = " ".join(str(error).split()).rstrip(".")
         raise UserError(
-            f"cluster.address={cluster.address}: Ray cannot be used there: {error}. "
-            "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
+            f"cluster.address={cluster.address}: Ray cannot be used there: {said}. {ADDRESSES}; "
+            "where the cluster asks for a token, set RAY_AUTH_MODE=token"
         ) from error
 
 
@@ -307,10 +313,7 @@ def _check_reachable(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), CONNECT_TIMEOUT_S).close()
     except (OSError, ValueError) as error:
-        raise UserError(
-            f"cluster.address={address}: nobody answers there ({error}). "
-            "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
-        ) from error
+        raise UserError(f"cluster.address={address}: nobody answers there ({error}). {ADDRESSES}") from error
 
 
 def _count_slots(cluster: Cluster) -> int:
