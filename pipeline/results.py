@@ -22,9 +22,9 @@ from pipeline.storage import Folder
 
 FLUSH_EVERY_S = 2.0
 FLUSH_ROWS = 500
-MERGE_PARTS = 100
-FULL_PART_ROWS = 50_000
-"""Parts of this size are left alone."""
+MERGE_PARTS = 50
+FULL_PART_ROWS = 20_000
+"""Parts of this size are left alone: a merge holds as many rows in memory, with their traces."""
 
 SCHEMA = pa.schema(
     [

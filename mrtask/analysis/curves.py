@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
 from mrtask.analysis.statistics import KNOWN, REFERENCES, Bootstrap, Estimate, Floats, planners_in_order
 from mrtask.analysis.style import BLACK, GREY, house_style, new_figure, planner_looks, seconds, short_name
@@ -114,6 +114,7 @@ def by_team(episodes: pd.DataFrame, planner: str) -> Figure | None:
         costs.set_ylim(bottom=0)
         times.set_yscale("log")
         times.yaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
+        times.yaxis.set_minor_formatter(NullFormatter())
         costs.set(title="mean cost (grid cells)")
         gains.set(title=f"improvement of {short_name(planner)} (%) over")
         times.set(title="planning time per decision")
