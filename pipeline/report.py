@@ -13,14 +13,14 @@ from typing import Any
 import pandas as pd
 
 from mrtask.analysis.curves import BUDGET
-from mrtask.analysis.report import homes_to_draw, render_report
+from mrtask.analysis.report import render_report, trials_to_draw
 from mrtask.homes.home import Home
 from pipeline import console, homes, tracking
 from pipeline.app import main
 from pipeline.config import Config, UserError, content_hash
 from pipeline.evaluation import EPISODES, MANIFEST
 from pipeline.pool import Pool
-from pipeline.results import read_episodes
+from pipeline.results import TRACE, read_episodes, read_traces
 from pipeline.storage import Folder, locked
 from pipeline.sweep import CELLS
 from pipeline.version import source_hash
@@ -51,7 +51,9 @@ def report(config: Config, run_id: str | None = None) -> Folder:
     if target.read(KEY_FILE) == json.dumps(key).encode():
         console.skipped(target / INDEX)
         return target
-    drawn = _homes(manifest, set(homes_to_draw(episodes, manifest)))
+    picks = trials_to_draw(episodes, manifest)
+    drawn = _homes(manifest, {pick.home_id for pick in picks})
+    episodes = _with_traces(episodes, folder, {pick.trial_id for pick in picks})
     with tempfile.TemporaryDirectory() as temporary:
         render_report(episodes, manifest, drawn, Path(temporary))
         target.upload(Path(temporary))
@@ -90,6 +92,18 @@ def _episodes(folder: Folder, manifest: Mapping[str, Any]) -> pd.DataFrame:
     rows = read_episodes(folder / EPISODES)
     budgets = {name: options.get("samples") for name, options in manifest["planner_options"].items()}
     return rows.assign(**{BUDGET: rows["planner"].map(budgets).astype("float64")})
+
+
+def _with_traces(episodes: pd.DataFrame, folder: Folder, trials: set[str]) -> pd.DataFrame:
+    """The episodes with a column ``trace``, filled for these trials."""
+    in_sweep = "sweep" in episodes.columns
+    traces = []
+    for place in [folder / CELLS / name for name in (folder / CELLS).names()] if in_sweep else [folder]:
+        manifest = _manifest(place)
+        if manifest is not None:
+            traces.append(read_traces(place / EPISODES, trials).assign(sweep=manifest["sweep"]))
+    keys = ["sweep", "trial_id", "planner"] if in_sweep else ["trial_id", "planner"]
+    return episodes.merge(pd.concat(traces)[[*keys, TRACE]], how="left", on=keys)
 
 
 def _manifest(folder: Folder) -> dict[str, Any] | None:

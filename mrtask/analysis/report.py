@@ -21,7 +21,7 @@ from mrtask.analysis.findings import Findings, find, main_planner, mixture_warni
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, LEAST_FOR_INTERVAL, RESAMPLES, Summary, summarise
 from mrtask.analysis.style import data_uri, short_name
-from mrtask.analysis.trajectories import draw_trial, instructive_trials
+from mrtask.analysis.trajectories import Pick, draw_trial, instructive_trials
 from mrtask.homes.home import Home
 
 RULE = "greedy"
@@ -49,7 +49,7 @@ def render_report(
             tells a sweep's variants apart.
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.facts` reads it, and all of it is optional.
-        homes: home id -> home, for drawing; homes that are missing are not drawn. `homes_to_draw` says which serve.
+        homes: home id -> home, for drawing; homes that are missing are not drawn. `trials_to_draw` says which serve.
 
     Returns:
         The path of ``index.html``.
@@ -119,15 +119,14 @@ def render_report(
     return _write_whole(out_dir / REPORT_FILE, page)
 
 
-def homes_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]:
-    """The ids of the homes that the report of these episodes draws, so that no others need loading."""
+def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[Pick]:
+    """The trials that the report of these episodes draws, so that no other home or trace needs loading."""
     frame = prepare(episodes)
     rows = frame[frame["variant"] == (variants_in_order(frame) or [""])[-1]]
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
         return []
-    picks = instructive_trials(rows, planner, _drawn_baseline(rows, planner))
-    return list(dict.fromkeys(pick.home_id for pick in picks))
+    return instructive_trials(rows, planner, _drawn_baseline(rows, planner))
 
 
 def _main_planner(summary: Summary, manifest: Mapping[str, Any]) -> str | None:
@@ -195,7 +194,7 @@ def _where_search_helps(rows: pd.DataFrame, planner: str | None) -> str:
 
 
 def _trajectories(rows: pd.DataFrame, homes: Mapping[str, Home], planner: str | None) -> list[Picture]:
-    if planner is None:
+    if planner is None or "trace" not in rows.columns:
         return []
     baseline = _drawn_baseline(rows, planner)
     names = [planner] if baseline is None else [planner, baseline]
