@@ -50,9 +50,9 @@ def span(item: int, seconds: float) -> tuple[float, float]:
 
 
 def worst_of_many(item: int, folder: Path) -> int:
-    """Nothing, but item 30 kills its first worker, 31 raises once, and 32 never ends, deaf to signals."""
+    """Nothing, but item 30 kills its first worker, 31 raises once, and 32 never ends."""
     if item == 32:
-        return int(sleep_deaf(60.0))
+        return int(sleep(60.0))
     if item == 30:
         return die_until(2 * item + 1, folder, 1) // 2
     return fail_until(item, folder, 1) if item == 31 else item

@@ -136,6 +136,7 @@ def test_a_store_that_cannot_be_used_is_told_before_any_work(
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "s3fs", None)
-    monkeypatch.setattr(importlib.import_module("fsspec.registry"), "_registry", {})
+    known = importlib.import_module("fsspec.registry")._registry
+    monkeypatch.delitem(known, "s3", raising=False)
     with pytest.raises(UserError, match=r"output_dir=s3://bucket/run: Install s3fs .*pip install 'mrtask\[s3\]'"):
         Folder("s3://bucket/run").names()
