@@ -34,7 +34,6 @@ from pipeline.pool import Pool
 
 CONF_DIR = Path(__file__).resolve().parent.parent / "conf"
 USER_ERROR_EXIT = 2
-INTERRUPT_EXIT = 130
 USER_ERRORS = (UserError, HouseError, MapError, FormulaError, DatasetError, ModelError)
 
 
@@ -48,8 +47,8 @@ def main(module_name: str) -> None:
         sys.exit(_fail(error))
     except KeyboardInterrupt as stop:
         sweep.interrupted(stop)
-        print("\ninterrupted; the same command continues from here", file=sys.stderr)
-        sys.exit(INTERRUPT_EXIT)
+        print(interrupt.MESSAGE, file=sys.stderr)
+        sys.exit(interrupt.INTERRUPT_EXIT)
 
 
 class _Workers:

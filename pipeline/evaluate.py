@@ -68,6 +68,7 @@ def evaluate(config: Config, pool: Pool, home_set: HomeSet, store: tracking.Trac
         return
     if done:
         console.line(f"{total - len(missing)} episodes are there already")
+    pool.start()
     cache.trim(config.cache_dir, config.cache_limit_gb * 2**30)
     params = config.model_dump(mode="json", exclude={"cluster", "tracking"})
     tags = {
@@ -77,7 +78,7 @@ def evaluate(config: Config, pool: Pool, home_set: HomeSet, store: tracking.Trac
         "code_version": code_version(),
         "sweep": sweep.cell_text(),
     }
-    name = f"evaluate {sweep.cell_text() or config.experiment}"
+    name = sweep.short_cell_text() or f"evaluate {config.experiment}"
     with tracking.run(store, name, params, tags, sweep.parent_run_id()) as tracked:
         reach = _map_homes(evaluation.context, pool)
         _run_episodes(config, pool, evaluation, missing, writer)

@@ -12,14 +12,15 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.report import homes_to_draw, render_report
+from mrtask.analysis.curves import BUDGET
+from mrtask.analysis.report import render_report, trials_to_draw
 from mrtask.homes.home import Home
 from pipeline import console, homes, tracking
 from pipeline.app import main
 from pipeline.config import Config, UserError, content_hash
 from pipeline.evaluation import EPISODES, MANIFEST
 from pipeline.pool import Pool
-from pipeline.results import read_episodes
+from pipeline.results import TRACE, read_episodes, read_traces
 from pipeline.storage import Folder, locked
 from pipeline.sweep import CELLS
 from pipeline.version import source_hash
@@ -50,7 +51,9 @@ def report(config: Config, run_id: str | None = None) -> Folder:
     if target.read(KEY_FILE) == json.dumps(key).encode():
         console.skipped(target / INDEX)
         return target
-    drawn = _homes(manifest, set(homes_to_draw(episodes, manifest)))
+    picks = trials_to_draw(episodes, manifest)
+    drawn = _homes(manifest, {pick.home_id for pick in picks})
+    episodes = _with_traces(episodes, folder, {pick.trial_id for pick in picks})
     with tempfile.TemporaryDirectory() as temporary:
         render_report(episodes, manifest, drawn, Path(temporary))
         target.upload(Path(temporary))
@@ -68,7 +71,7 @@ def collect(folder: Folder) -> tuple[pd.DataFrame, dict[str, Any]]:
     manifests = [(cell, _manifest(cell)) for cell in cells]
     finished = [(cell, manifest) for cell, manifest in manifests if manifest is not None]
     if finished:
-        frames = [read_episodes(cell / EPISODES).assign(sweep=manifest["sweep"]) for cell, manifest in finished]
+        frames = [_episodes(cell, manifest).assign(sweep=manifest["sweep"]) for cell, manifest in finished]
         last = finished[-1][1]
         expected = sum(manifest["expected_episodes"] for _, manifest in finished)
         return pd.concat(frames, ignore_index=True), last | {
@@ -81,7 +84,26 @@ def collect(folder: Folder) -> tuple[pd.DataFrame, dict[str, Any]]:
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     stages = folder.read(STAGES)
-    return read_episodes(folder / EPISODES), manifest | ({"stages": json.loads(stages)} if stages else {})
+    return _episodes(folder, manifest), manifest | ({"stages": json.loads(stages)} if stages else {})
+
+
+def _episodes(folder: Folder, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """A run's episodes with how many samples a decision each planner was given."""
+    rows = read_episodes(folder / EPISODES)
+    budgets = {name: options.get("samples") for name, options in manifest["planner_options"].items()}
+    return rows.assign(**{BUDGET: rows["planner"].map(budgets).astype("float64")})
+
+
+def _with_traces(episodes: pd.DataFrame, folder: Folder, trials: set[str]) -> pd.DataFrame:
+    """The episodes with a column ``trace``, filled for these trials."""
+    in_sweep = "sweep" in episodes.columns
+    traces = []
+    for place in [folder / CELLS / name for name in (folder / CELLS).names()] if in_sweep else [folder]:
+        manifest = _manifest(place)
+        if manifest is not None:
+            traces.append(read_traces(place / EPISODES, trials).assign(sweep=manifest["sweep"]))
+    keys = ["sweep", "trial_id", "planner"] if in_sweep else ["trial_id", "planner"]
+    return episodes.merge(pd.concat(traces)[[*keys, TRACE]], how="left", on=keys)
 
 
 def _manifest(folder: Folder) -> dict[str, Any] | None:

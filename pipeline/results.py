@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.config import UserError
@@ -22,9 +23,9 @@ from pipeline.storage import Folder
 
 FLUSH_EVERY_S = 2.0
 FLUSH_ROWS = 500
-MERGE_PARTS = 100
-FULL_PART_ROWS = 50_000
-"""Parts of this size are left alone."""
+MERGE_PARTS = 50
+FULL_PART_ROWS = 20_000
+"""Parts of this size are left alone: a merge holds as many rows in memory, with their traces."""
 
 SCHEMA = pa.schema(
     [
@@ -56,6 +57,7 @@ SCHEMA = pa.schema(
         ("trace", pa.string()),
     ]
 )
+TRACE = "trace"
 SORTED_BY = [("trial_id", "ascending"), ("planner", "ascending")]
 _REPLACES = b"replaces"
 
@@ -135,15 +137,27 @@ def read_table(folder: Folder, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_episodes(folder: Folder) -> pd.DataFrame:
-    """All rows as a DataFrame.
+    """All rows as a DataFrame, without the traces, which are most of their size.
 
     Raises:
         UserError: there are none.
     """
-    table = read_table(folder)
+    table = read_table(folder, [name for name in SCHEMA.names if name != TRACE])
     if table.num_rows == 0:
         raise UserError(f"no episodes in {folder}; run python -m pipeline.evaluate with the same output_dir first")
     frame: pd.DataFrame = table.to_pandas()
+    return frame
+
+
+def read_traces(folder: Folder, trials: Collection[str]) -> pd.DataFrame:
+    """``trial_id, planner, trace`` of these trials."""
+    wanted = pa.array(sorted(trials), pa.string())
+    columns = ["trial_id", "planner", TRACE]
+    found = [SCHEMA.empty_table().select(columns)]
+    for name in _part_names(folder):
+        part = _read_part(folder, name, columns)
+        found.append(part.filter(pc.is_in(part["trial_id"], wanted)))
+    frame: pd.DataFrame = pa.concat_tables(found).to_pandas()
     return frame
 
 
@@ -167,7 +181,9 @@ def _read_part(folder: Folder, name: str, columns: list[str] | None = None) -> p
         raise UserError(f"{folder}/{name} was removed while it was being read; run the same command again")
     schema = SCHEMA if columns is None else pa.schema([SCHEMA.field(column) for column in columns])
     try:
-        table = pq.read_table(io.BytesIO(content), columns=columns)
+        file = pq.ParquetFile(io.BytesIO(content))
+        there = file.schema_arrow.names
+        table = file.read(None if columns is None else [name for name in columns if name in there])
     except (pa.ArrowInvalid, OSError) as error:
         raise UserError(
             f"{folder}/{name} is damaged ({error}); remove it and run again: only its rows are redone"

@@ -58,6 +58,16 @@ def cell_text() -> str:
     return _sweep.cell if _sweep else ""
 
 
+def short_cell_text() -> str:
+    """The same without the keys' groups, ``samples=100``, where that is as clear: lists show names cut off."""
+    if not _sweep:
+        return ""
+    short = {key: key.rpartition(".")[2] for key in _sweep.swept}
+    if len(set(short.values())) < len(short):
+        return _sweep.cell
+    return re.sub(r"[\w.+]+(?==)", lambda key: short.get(key[0], key[0]), _sweep.cell)
+
+
 def parent_run_id() -> str | None:
     """The MLflow run of the sweep under way."""
     return _sweep.parent_run_id if _sweep else None

@@ -33,6 +33,7 @@ from mrtask.analysis.style import (
 WIDTH_IN = 10.5
 VECTOR_POINTS = 1500
 """Scatter plots with more points are drawn as pixels, which keeps the report small."""
+MOST_NAMED_CELLS = 12
 TIME_PERCENTILES = (5, 25, 50, 75, 95)
 
 
@@ -137,7 +138,7 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
             axes.axhline(0, color=BLACK, linewidth=0.8)
             axes.set(ylabel="improvement (%)", title=f"{short_name(planner)} over {short_name(baseline)}")
             axes.grid(axis="x", visible=False)
-        panels[-1].set_xticks(places, [f"{size_class}\n{_team(robots)}" for size_class, robots in cells])
+        panels[-1].set_xticks(places, _cell_names(cells))
         handles: list[Patch | Line2D] = [
             Patch(color=color, label=f"{short_name(planner)}, 95 % interval"),
             Patch(facecolor="white", edgecolor=GREY, hatch="////", label="published"),
@@ -148,6 +149,14 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
             )
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
+
+
+def _cell_names(cells: Sequence[tuple[str, int]]) -> list[str]:
+    """Size class and team size; of many cells the number of robots, with the class below the first of its cells."""
+    if len(cells) <= MOST_NAMED_CELLS:
+        return [f"{size_class}\n{_team(robots)}" for size_class, robots in cells]
+    first = {size_class: robots for size_class, robots in reversed(cells)}
+    return [f"{robots}\n{size_class if first[size_class] == robots else ''}" for size_class, robots in cells]
 
 
 def planning_times(episodes: pd.DataFrame, planners: Sequence[str]) -> Figure | None:
@@ -240,9 +249,9 @@ def _improvement(summary: Summary, cell: tuple[str, int], planner: str, baseline
 
 
 def _errors(estimates: Sequence[Estimate]) -> Floats:
-    """[2, N] the interval's lengths below and above the value; 0 where there is no interval."""
+    """[2, N] the interval's lengths below and above the value; NaN, which is not drawn, where there is no interval."""
     lengths = np.array([[each.value - each.low, each.high - each.value] for each in estimates]).T
-    return np.asarray(np.nan_to_num(np.maximum(lengths, 0)), dtype=np.float64)
+    return np.asarray(np.maximum(lengths, 0), dtype=np.float64)
 
 
 def _points_with_intervals(

@@ -15,15 +15,17 @@ import jinja2
 import pandas as pd
 from matplotlib.figure import Figure
 
-from mrtask.analysis import facts, figures, tables
+from mrtask.analysis import curves, facts, figures, tables
 from mrtask.analysis.episodes import Variant, prepare, variants_in_order
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, LEAST_FOR_INTERVAL, RESAMPLES, Summary, summarise
 from mrtask.analysis.style import data_uri, short_name
-from mrtask.analysis.trajectories import draw_trial, instructive_trials
+from mrtask.analysis.trajectories import Pick, draw_trial, instructive_trials
 from mrtask.homes.home import Home
 
+RULE = "greedy"
+"""The strongest planner without search: what search is worth is its improvement over this one."""
 TEMPLATE = "report.html.jinja"
 REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
 
@@ -47,7 +49,7 @@ def render_report(
             tells a sweep's variants apart.
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.facts` reads it, and all of it is optional.
-        homes: home id -> home, for drawing; homes that are missing are not drawn. `homes_to_draw` says which serve.
+        homes: home id -> home, for drawing; homes that are missing are not drawn. `trials_to_draw` says which serve.
 
     Returns:
         The path of ``index.html``.
@@ -81,6 +83,13 @@ def render_report(
             "Improvement by variant",
             "All team sizes together, 95 % paired bootstrap intervals.",
         ),
+        "samples_picture": _picture(
+            curves.by_samples(frame, planner),
+            "Cost against samples",
+            "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same trials "
+            "paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: planners "
+            "that take no samples.",
+        ),
         "paper_table": tables.paper_table(summary, published, planner),
         "planner_table": tables.planner_table(summary),
         "pair_table": tables.pair_table(summary, planner),
@@ -110,15 +119,14 @@ def render_report(
     return _write_whole(out_dir / REPORT_FILE, page)
 
 
-def homes_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]:
-    """The ids of the homes that the report of these episodes draws, so that no others need loading."""
+def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[Pick]:
+    """The trials that the report of these episodes draws, so that no other home or trace needs loading."""
     frame = prepare(episodes)
     rows = frame[frame["variant"] == (variants_in_order(frame) or [""])[-1]]
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
         return []
-    picks = instructive_trials(rows, planner, _drawn_baseline(rows, planner))
-    return list(dict.fromkeys(pick.home_id for pick in picks))
+    return instructive_trials(rows, planner, _drawn_baseline(rows, planner))
 
 
 def _main_planner(summary: Summary, manifest: Mapping[str, Any]) -> str | None:
@@ -164,12 +172,29 @@ def _charts(rows: pd.DataFrame, summary: Summary, planner: str | None) -> list[P
             "Planning time per decision",
             "Median and quartiles over episodes; whiskers from the 5th to the 95th percentile.",
         ),
+        _picture(
+            curves.by_team(rows, planner) if planner else None,
+            "Cost and planning time by team size",
+            f"All size classes together, bands are 95 % bootstrap intervals. {_where_search_helps(rows, planner)}",
+        ),
     ]
     return [picture for picture in drawn if picture]
 
 
+def _where_search_helps(rows: pd.DataFrame, planner: str | None) -> str:
+    found = curves.worth_by_team(rows, planner, RULE) if planner else None
+    if found is None:
+        return ""
+    told = [
+        f"{how} with {', '.join(map(str, teams))}"
+        for how, teams in (("clearly sooner", found.clear), ("not clearly sooner", found.unclear))
+        if teams
+    ]
+    return f"Against {RULE}, {short_name(planner or '')} is {' robots, '.join(told)} robots."
+
+
 def _trajectories(rows: pd.DataFrame, homes: Mapping[str, Home], planner: str | None) -> list[Picture]:
-    if planner is None:
+    if planner is None or "trace" not in rows.columns:
         return []
     baseline = _drawn_baseline(rows, planner)
     names = [planner] if baseline is None else [planner, baseline]

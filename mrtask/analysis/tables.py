@@ -229,7 +229,11 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
                 tuple(_plain_cost_entry(each.cost_cells if each else None) for each in costs),
             )
         )
-    return Table(tuple((name, "all teams" if count == ALL_TEAMS else str(count)) for name, count in cells), tuple(rows))
+    return Table(tuple((name, _team(count)) for name, count in cells), tuple(rows))
+
+
+def _team(robots: int) -> str:
+    return "all teams" if robots == ALL_TEAMS else "1 robot" if robots == 1 else f"{robots} robots"
 
 
 def real_world_table(published: Published) -> Table:

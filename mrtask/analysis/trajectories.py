@@ -53,11 +53,13 @@ def instructive_trials(
     """The trials of the largest team where ``planner`` saved most seconds against ``baseline``, the median, and fewest.
 
     Without a baseline: the longest, the median and the shortest. Trials of homes outside ``home_ids`` (None: any home)
-    or without traces are passed over for the next in rank.
+    or without traces, where there is a column ``trace``, are passed over for the next in rank.
     """
-    if not {"trace", "home_id"} <= set(episodes.columns):
+    if "home_id" not in episodes.columns:
         return []
-    traced = episodes[(episodes["status"] == "accepted") & episodes["trace"].notna() & episodes["home_id"].notna()]
+    traced = episodes[(episodes["status"] == "accepted") & episodes["home_id"].notna()]
+    if "trace" in traced.columns:
+        traced = traced[traced["trace"].notna()]
     costs = paired_costs(traced)
     names = [planner] if baseline is None else [planner, baseline]
     if not set(names) <= set(costs.columns) or costs[names].dropna().empty:

@@ -9,7 +9,7 @@ import pytest
 
 from mrtask.analysis import report as library
 from mrtask.analysis.facts import beats_frequency, failure_table, homes_facts, run_facts
-from mrtask.analysis.report import homes_to_draw, render_report
+from mrtask.analysis.report import render_report, trials_to_draw
 from mrtask.execution.trace import Leg, Letter, Trace
 from tests.analysis.synthetic import fail, make_episodes, rows
 
@@ -234,15 +234,17 @@ def test_ten_thousand_episodes_stay_small(tmp_path):
     assert (tmp_path / "index.html").stat().st_size < 3_000_000
 
 
-def test_homes_to_draw_are_those_drawn(two_room_home, tmp_path, blank_pictures):
+def test_trials_to_draw_are_those_drawn(two_room_home, tmp_path, blank_pictures):
     trace = Trace((2.0, 1.0), ((),), ()).to_json()
     frame = small(["learned_myopic", "pouct"]).assign(trace=trace)
     frame["home_id"] = np.where(frame["trial_id"] == "small-1-003", two_room_home.id, frame["home_id"])
-    wanted = homes_to_draw(frame, {})
+    picks = trials_to_draw(frame.drop(columns="trace"), {})
+    wanted = [pick.home_id for pick in picks]
     assert len(wanted) == 3
+    frame["trace"] = frame["trace"].where(frame["trial_id"].isin([pick.trial_id for pick in picks]))
     page = page_of(tmp_path, frame, {}, dict.fromkeys(wanted, two_room_home))
     assert "Most saved" in page.words and all(home_id in page.words for home_id in wanted)
-    assert homes_to_draw(frame.head(0), {}) == []
+    assert trials_to_draw(frame.head(0), {}) == []
 
 
 def test_facts_from_rows_where_the_manifest_has_none():

@@ -92,6 +92,12 @@ def test_comparison_by_hand():
     assert found.improvement.n == 3 and found.improvement.value == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.parametrize("saved", [[1, 2, -3, 4, 5], [0, 0, 1, 1, -2, 3], [2, 2, 2, -2, 0], [-1, -1, 0, 0, -3, 4]])
+def test_wilcoxon_of_few_trials_is_scipys(saved):
+    expected = stats.wilcoxon(np.array(saved, dtype=float), zero_method="zsplit").pvalue
+    assert compare(np.zeros(len(saved)), np.array(saved, dtype=float)).p_value == pytest.approx(expected)
+
+
 def test_wilcoxon_by_hand():
     # All five differences point one way: of the 2^5 signs, only this one and its mirror are as extreme.
     assert compare(np.arange(5.0), np.arange(5.0) + np.arange(1, 6)).p_value == pytest.approx(2 / 32)

@@ -116,7 +116,7 @@ def test_variant_table_of_different_cells():
     first = summary_of(make_episodes(3, ["learned_myopic", "pouct"], ["small"], [1]))
     second = summary_of(make_episodes(3, ["learned_myopic", "pouct"], ["small"], [2]))
     table = variant_table({"seed=1": first, "seed=2": second}, "pouct")
-    assert table.columns == (("small", "1"), ("small", "2"), ("all", "all teams"))
+    assert table.columns == (("small", "1 robot"), ("small", "2 robots"), ("all", "all teams"))
     assert entries(table, "seed=1")[1] == ["\N{EN DASH}"] and entries(table, "seed=2")[0] == ["\N{EN DASH}"]
     assert variant_table({"": first}, "pouct") is None
 

@@ -139,7 +139,7 @@ def test_picks_come_from_the_largest_team_and_from_finished_pairs():
 
 def test_nothing_to_pick():
     frame = traced(1, COSTS)
-    assert instructive_trials(frame.drop(columns="trace"), "pouct", "learned_myopic") == []
+    assert instructive_trials(frame.drop(columns="home_id"), "pouct", "learned_myopic") == []
     assert instructive_trials(frame.assign(trace=None), "pouct", "learned_myopic") == []
     assert instructive_trials(frame, "pouct", "greedy") == []
     assert instructive_trials(frame.head(0), "pouct", None) == []

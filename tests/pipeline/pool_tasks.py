@@ -42,6 +42,22 @@ def sleep_deaf(seconds: float) -> float:
     return seconds
 
 
+def span(item: int, seconds: float) -> tuple[float, float]:
+    """When it began and ended, having slept in between."""
+    began_s = time.monotonic()
+    time.sleep(seconds)
+    return began_s, time.monotonic()
+
+
+def worst_of_many(item: int, folder: Path) -> int:
+    """Nothing, but item 30 kills its first worker, 31 raises once, and 32 never ends."""
+    if item == 32:
+        return int(sleep(60.0))
+    if item == 30:
+        return die_until(2 * item + 1, folder, 1) // 2
+    return fail_until(item, folder, 1) if item == 31 else item
+
+
 def identity_of_shared(item: int, shared: np.ndarray) -> tuple[int, int]:
     """Process and address of a shared value."""
     return os.getpid(), id(shared)

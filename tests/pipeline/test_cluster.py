@@ -10,7 +10,7 @@ from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import episodes
 
 PLANNERS = (
-    "evaluation.planners=[nonlearned_myopic,tests.pipeline.own_planners.Slow]",
+    "evaluation.planners=[pouct,tests.pipeline.own_planners.Slow]",
     "+planner.Slow.pause_s=0.1",
 )
 
@@ -28,3 +28,9 @@ def test_rows_do_not_depend_on_the_cluster_nor_on_a_lost_node(workspace: Workspa
     rows = episodes(workspace.path / "outputs" / "cluster")
     undisturbed = episodes(workspace.path / "outputs" / "no_cluster")
     pd.testing.assert_frame_equal(rows.drop(columns="attempt"), undisturbed.drop(columns="attempt"))
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(workspace: Workspace, cli: Cli) -> None:
+    alone = [*workspace.overrides, "cluster.cpus=1", "output_dir=outputs/one_worker"]
+    assert cli("evaluate", *alone, cwd=workspace.path).code == 0
+    pd.testing.assert_frame_equal(episodes(workspace.path / "outputs" / "one_worker"), episodes(workspace.output_dir))

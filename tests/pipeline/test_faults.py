@@ -1,5 +1,7 @@
 """Whatever happens to workers, planners or the driver: the rows of an undisturbed run, none lost, none twice."""
 
+import errno
+import os
 import signal
 import subprocess
 import sys
@@ -10,10 +12,20 @@ import pandas as pd
 import psutil
 import pytest
 
+from pipeline import results
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import episodes
 
 OWN = "tests.pipeline.own_planners"
+
+
+def assert_same_costs(rows: pd.DataFrame, undisturbed: pd.DataFrame) -> None:
+    """Rows of a planner that goes by the baseline's rule are the baseline's of an undisturbed run, but for its name."""
+    baseline = undisturbed[undisturbed["planner"] == "nonlearned_myopic"].set_index("trial_id").loc[rows["trial_id"]]
+    other = ["planner", "config_hash"]
+    pd.testing.assert_frame_equal(
+        rows.set_index("trial_id").drop(columns=other), baseline.drop(columns=other), check_dtype=False
+    )
 
 
 def test_a_worker_killed_in_an_episode_changes_no_row(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
@@ -37,7 +49,8 @@ def test_an_episode_that_raises_is_a_row_with_its_traceback(workspace: Workspace
     assert len(faulty) == 6 and set(faulty["status"]) == {"error"} and set(faulty["attempt"]) == {2}
     assert faulty["error"].str.contains("this planner has a bug").all()
     assert faulty["cost_s"].isna().all()
-    assert set(rows.drop(faulty.index)["status"]) == {"accepted"}
+    for _, sound in rows.drop(faulty.index).groupby("planner"):
+        assert_same_costs(sound, episodes(workspace.output_dir))
     kept = cli("evaluate", *common, cwd=workspace.path)
     assert "(unchanged, skipped)" in kept.out.splitlines()[-1]
     again = cli("evaluate", *common, "evaluation.rerun=[error]", cwd=workspace.path)
@@ -65,6 +78,35 @@ def test_an_episode_that_hangs_is_a_timeout_row(workspace: Workspace, cli: Cli) 
     assert hanging.code == 0
     rows = episodes(workspace.path / "outputs" / "hanging")
     assert dict(zip(rows["robots"], rows["status"], strict=True)) == {1: "accepted", 2: "timeout"}
+    assert_same_costs(rows[rows["robots"] == 1], episodes(workspace.output_dir))
+
+
+def test_a_run_on_a_full_disk_goes_on_when_there_is_room(
+    workspace: Workspace, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "FLUSH_EVERY_S", 0.0)
+    original = Path.write_bytes
+
+    def short_of_room(path: Path, content: bytes) -> int:
+        if path.parent.name == "episodes" and len(list(path.parent.glob("part-*.parquet"))) == 5:
+            original(path, content[: len(content) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return original(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", short_of_room)
+    common = [*workspace.overrides, "output_dir=outputs/full"]
+    stopped = cli("evaluate", *common, cwd=workspace.path)
+    monkeypatch.undo()
+    assert stopped.code == 2 and stopped.err.count("\n") == 1
+    assert "No space left on device; make room" in stopped.err
+    target = workspace.path / "outputs" / "full"
+    before = pd.read_parquet(target / "episodes")
+    assert len(before) == 5
+    resumed = cli("evaluate", *common, cwd=workspace.path)
+    assert resumed.code == 0 and "5 episodes are there already" in resumed.out
+    pd.testing.assert_frame_equal(episodes(target), episodes(workspace.output_dir))
+    after = pd.read_parquet(target / "episodes").merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
+    assert (after["planning_s"] == after["planning_s_before"]).all() and len(after) == 5
 
 
 @pytest.mark.parametrize(("how", "after_rows"), [(signal.SIGINT, 3), (signal.SIGKILL, 2), (signal.SIGKILL, 13)])

@@ -2,7 +2,11 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 
+import psutil
 import pytest
 
 from pipeline import interrupt
@@ -31,3 +35,15 @@ def test_a_dropped_interrupt_is_raised_at_the_next_check(ray_session: None) -> N
     with interrupt.remembered():
         interrupt.check()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_while_libraries_are_imported_is_one_line() -> None:
+    command = [sys.executable, "-m", "pipeline.evaluate", "--help"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # One of the first of the libraries; the heavy ones follow.
+    while not any("pydantic_core" in one.path for one in psutil.Process(process.pid).memory_maps()):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "\ninterrupted; the same command continues from here\n")

@@ -1,5 +1,6 @@
 """The pool against dying, failing and hanging tasks."""
 
+import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -88,6 +89,25 @@ def test_a_task_deaf_to_its_time_limit_has_its_worker_killed(pool: Pool, monkeyp
     found = outcomes(pool.run(tasks.sleep_deaf, [60.0], timeout_s=1.0))
     failure = found[60.0].failure
     assert failure is not None and failure.kind == "timeout"
+
+
+def test_in_a_batch_of_short_items_each_answers_for_itself(pool: Pool, tmp_path: Path) -> None:
+    found = outcomes(pool.run(tasks.worst_of_many, range(60), tmp_path, timeout_s=2.0))
+    failures = {item: outcome.failure for item, outcome in found.items() if outcome.failure is not None}
+    assert list(failures) == [32] and failures[32].kind == "timeout"
+    assert {item: outcome.value for item, outcome in found.items() if item != 32} == {
+        item: item for item in range(60) if item != 32
+    }
+    tried_again = {item for item, outcome in found.items() if outcome.attempt > 1}
+    assert tried_again > {30, 31}, "they were in no batch with others"
+    assert len(tried_again) < 60, "all were tried again"
+
+
+def test_a_run_takes_no_more_cores_of_a_cluster_than_it_may(ray_session: None) -> None:
+    with Pool(LOCAL.model_copy(update={"cpus": 1})) as opened:
+        spans = sorted(one.value for one in outcomes(opened.run(tasks.span, range(4), 0.3)).values() if one.value)
+    assert len(spans) == 4
+    assert all(ended_s <= began_s for (_, ended_s), (began_s, _) in itertools.pairwise(spans))
 
 
 def test_shared_values_are_unpacked_once_per_worker(pool: Pool) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from pipeline import results
 from pipeline.config import UserError
-from pipeline.results import SCHEMA, EpisodeWriter, differences, read_episodes, read_table
+from pipeline.results import SCHEMA, EpisodeWriter, differences, read_episodes, read_table, read_traces
 from pipeline.storage import Folder, locked
 
 
@@ -28,6 +28,7 @@ def row(number: int, planner: str = "greedy", status: str = "accepted") -> dict[
         "status": status,
         "robots": 1,
         "objects": ["Mug", "Bowl"],
+        "trace": f"[{number}]",
         "cost_s": float(number) if status == "accepted" else None,
     }
 
@@ -49,7 +50,8 @@ def test_rows_come_back_with_the_fixed_schema(folder: Folder) -> None:
     writer.add(row(3, status="failed"))
     writer.close()
     frame = read_episodes(folder)
-    assert list(frame.columns) == SCHEMA.names
+    assert list(frame.columns) == [name for name in SCHEMA.names if name != "trace"]
+    assert list(read_traces(folder, {"small-1-001", "other"}).loc[0]) == ["small-1-001", "greedy", "[1]"]
     assert list(frame["trial_id"]) == sorted(frame["trial_id"])
     assert frame["cost_s"].isna().tolist() == [False, False, False, True]
     assert list(frame["objects"].iloc[0]) == ["Mug", "Bowl"]

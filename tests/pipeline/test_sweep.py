@@ -12,7 +12,7 @@ from tests.pipeline.harness import Cli, Workspace
 def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace, cli: Cli) -> None:
     sweep = [
         "-m", *workspace.overrides, "planner.pouct.samples=5,10", "evaluation.robots=[1],[2]",
-        "evaluation.size_classes=[small]", "output_dir=outputs/sweep",
+        "evaluation.size_classes=[small]", "output_dir=outputs/sweep", "cache_dir=outputs/cache",
     ]  # fmt: skip
     done = cli("evaluate", *sweep, cwd=workspace.path)
     assert done.code == 0, done.err
@@ -22,7 +22,11 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
         f"planner.pouct.samples={samples},evaluation.robots=_{robots}_" for samples in (10, 5) for robots in (1, 2)
     ]
     assert [len(pd.read_parquet(cell / "episodes")) for cell in cells] == [4] * 4
+    second_began = (cells[3] / "run.json").stat().st_mtime
+    maps = [path for path in (workspace.path / "outputs" / "cache" / "maps").rglob("*") if path.is_file()]
+    assert maps and all(path.stat().st_mtime < second_began for path in maps), "the second cell mapped homes again"
     page = (target / "report" / "index.html").read_text()
+    assert "Cost against samples" in page
     assert "planner.pouct.samples=5" in page and "planner.pouct.samples=10" in page
     store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
     client = mlflow.MlflowClient()
@@ -32,6 +36,9 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
     of_parent = f"tags.mlflow.parentRunId = '{parent.info.run_id}'"
     children = client.search_runs([store.experiment_id], of_parent)
     assert len(children) == 4
+    assert {child.info.run_name for child in children} == {
+        f"samples={samples},robots=[{robots}]" for samples in (5, 10) for robots in (1, 2)
+    }
     assert {child.data.params["planner.pouct.samples"] for child in children} == {"5", "10"}
     again = cli("evaluate", *sweep, cwd=workspace.path)
     assert again.out.count("/episodes (unchanged, skipped)") == 4
