@@ -21,7 +21,7 @@ def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | Non
         axes.plot(epochs, [entry[key] for entry in history], label=label)
     if frequency_log_loss is not None:
         axes.axhline(frequency_log_loss, color="gray", linestyle="--", label="frequency table, validation homes")
-    axes.set(xlabel="epoch", ylabel="log loss", yscale="log")
+    axes.set(xlabel="epoch", ylabel="log loss")
     axes.legend()
     return figure
 
