@@ -96,7 +96,7 @@ def main() -> None:
     test_homes = {home.id: home for home in homes if home.id in test_ids}
     tables = {}
     for kind in arguments.kinds:
-        network = NetworkOptions(layers=SMALL_LAYERS if kind == "mlp" else PAPER_LAYERS, device="cpu")
+        network = NetworkOptions(layers=SMALL_LAYERS if kind == "mlp" else PAPER_LAYERS, threads=1, device="cpu")
         model, _ = fit(dataset.triples("train"), dataset.triples("validation"), TrainingOptions(kind, network=network))
         tables[kind] = build_table(model, test_homes.values())
         print(f"trained {kind}", flush=True)
