@@ -1,88 +1,136 @@
-"""All likelihood models on one dataset: their metrics on seen and on unseen names, and how long each takes to train.
+"""All likelihood models in one table: on names seen in training and on names held out, with time and memory.
 
-    python benchmarks/bench_likelihood.py [--rows datasets/rows/<hash>] [--kinds similarity paper_fcnn] [--seeds 5]
+    python benchmarks/bench_likelihood.py
+    python benchmarks/bench_likelihood.py --homes a.jsonl.gz b.jsonl.gz --assets asset-database.json --seeds 5
 
-The folder is one that ``python -m pipeline.dataset`` made; without it, generated homes. With several seeds the
-networks' rows are means, and their spread is printed.
+Always on generated homes, and on the given ones where there are some (500 to train on, 50 to stop training by, the
+rest to test on, divided as ``homes=procthor`` does). Names held out: each of five parts of the object types, and
+of the container types, is predicted by a model that was trained without it. Each training has a process of its own.
+Networks have the mean and standard deviation of several seeds; what depends on no seed is trained once.
 """
 
 import argparse
+import multiprocessing
 import resource
 import time
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from mrtask.homes.generator import generate_house
-from mrtask.homes.procthor import parse_house
-from mrtask.likelihood.dataset import Dataset, build_dataset, read_dataset
+from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.procthor import parse_house, read_houses
+from mrtask.homes.split import split_homes
+from mrtask.likelihood.dataset import Dataset, build_dataset
 from mrtask.likelihood.embeddings import BUNDLED
-from mrtask.likelihood.network import NetworkOptions
-from mrtask.likelihood.training import (
-    MODEL_KINDS,
-    NETWORK_KINDS,
-    TrainingOptions,
-    score_unseen,
-    train_model,
-)
+from mrtask.likelihood.frequency import FrequencyModel
+from mrtask.likelihood.network import PAPER_LAYERS, NetworkOptions
+from mrtask.likelihood.training import MODEL_KINDS, NETWORK_KINDS, TrainingOptions, fit, score, score_unseen
 
-METRICS = ("roc_auc", "average_precision", "log_loss", "brier", "ece")
-HOMES = {"train": 80, "validation": 20, "test": 50}
+HOMES = {"train": 500, "validation": 50, "test": 300}
+SPLIT_SALT = "0"
+"""The pipeline's seed of homes, so that both divide the same files alike."""
 SMALL_LAYERS = (128, 64)
+ORDER = ("frequency", "logistic", "similarity", "mlp", "paper_fcnn")
+SEEN_METRICS = ("roc_auc", "average_precision", "log_loss", "brier", "ece")
+UNSEEN_METRICS = ("log_loss", "roc_auc")
 
 
-def generated_dataset() -> Dataset:
-    """Rows of a hundred and fifty generated homes."""
-    homes = [parse_house(generate_house(seed), None, "generated", seed) for seed in range(sum(HOMES.values()))]
-    parts, start = {}, 0
-    for split, number in HOMES.items():
-        parts[split], start = homes[start : start + number], start + number
-    return build_dataset(parts, source="generated", seed=0, code_version="bench")
+@dataclass(frozen=True)
+class Job:
+    """One training on one dataset, and whether names are held out as well."""
+
+    data: str
+    kind: str
+    seed: int
+    unseen: bool
+    threads: int
+    embedding: str
+
+
+def generated_homes() -> list[Home]:
+    """As many homes as a default run generates, a third of them in each size class."""
+    with multiprocessing.Pool() as pool:
+        return pool.map(_generated_home, range(sum(HOMES.values())), chunksize=10)
+
+
+def _generated_home(number: int) -> Home:
+    house = generate_house(number, SIZE_CLASSES[number % len(SIZE_CLASSES)])
+    return parse_house(house, None, "generated", number)
+
+
+def dataset_of(homes: Sequence[Home], source: str) -> Dataset:
+    """Labelled rows of the homes; at least one must be left to test on."""
+    by_id = {home.id: home for home in homes}
+    split = split_homes(by_id, HOMES["train"], HOMES["validation"], None, SPLIT_SALT)
+    parts = {name: [by_id[home_id] for home_id in getattr(split, name)] for name in HOMES}
+    return build_dataset(parts, source=source, seed=0, code_version="bench")
+
+
+def measure(task: tuple[Job, Dataset]) -> dict[str, object]:
+    """Train, score, and say what it took."""
+    job, dataset = task
+    layers = SMALL_LAYERS if job.kind == "mlp" else PAPER_LAYERS
+    network = NetworkOptions(layers=layers, threads=job.threads, seed=job.seed, device="cpu")
+    options = TrainingOptions(job.kind, embedding=job.embedding, network=network)
+    began_s, began_cpu_s = time.monotonic(), time.process_time()
+    model, _ = fit(dataset.triples("train"), dataset.triples("validation"), options)
+    took = {"seconds": time.monotonic() - began_s, "cpu_seconds": time.process_time() - began_cpu_s}
+    metrics = score(model, dataset.triples("test"))
+    found: dict[str, object] = {name: metrics[name] for name in SEEN_METRICS}
+    if job.unseen:
+        for column in ("object", "container"):
+            metrics = score_unseen(dataset, options, column)
+            found |= {f"unseen {column}: {name}": metrics[name] for name in UNSEEN_METRICS}
+    peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {"data": job.data, "model": job.kind, "seed": job.seed, **found, **took, "peak_gib": peak_gib}
+
+
+def jobs(data: Sequence[str], arguments: argparse.Namespace) -> Iterator[Job]:
+    """Every model on every dataset; networks with every seed."""
+    for name in data:
+        for kind in (kind for kind in ORDER if kind in arguments.kinds):
+            for seed in range(arguments.seeds if kind in NETWORK_KINDS else 1):
+                unseen = seed < arguments.unseen_seeds
+                yield Job(name, kind, seed, unseen, arguments.threads, arguments.embedding)
 
 
 def main() -> None:
-    """Print one row per model, kind of names and metric."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", type=Path, help="the dataset's folder")
-    parser.add_argument(
-        "--kinds", nargs="+", choices=MODEL_KINDS, default=("similarity", "frequency", "logistic", "mlp")
-    )
-    parser.add_argument("--seeds", type=int, default=1, help="trainings of each network")
-    parser.add_argument("--epochs", type=int, default=NetworkOptions().max_epochs)
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--homes", nargs="+", type=Path, default=[], help="house files in ProcTHOR's schema")
+    parser.add_argument("--assets", type=Path, help="ProcTHOR's asset database")
+    parser.add_argument("--kinds", nargs="+", choices=MODEL_KINDS, default=MODEL_KINDS)
+    parser.add_argument("--seeds", type=int, default=5, help="trainings of each network")
+    parser.add_argument("--unseen-seeds", type=int, default=1, help="of those, how many with names held out (10 more)")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="trainings at once")
     parser.add_argument("--embedding", default=BUNDLED)
-    parser.add_argument(
-        "--unseen-networks", action="store_true", help="networks on unseen names too (5 more trainings)"
-    )
     arguments = parser.parse_args()
-    dataset = read_dataset(arguments.rows) if arguments.rows else generated_dataset()
+
+    began_s = time.monotonic()
+    datasets = {}
+    if arguments.homes:
+        datasets["given"] = dataset_of(list(read_houses(arguments.homes, arguments.assets)), "given")
+    datasets["generated"] = dataset_of(generated_homes(), "generated")
+    print(f"homes and rows: {time.monotonic() - began_s:.0f} s", flush=True)
+    tasks = [(job, datasets[job.data]) for job in jobs(list(datasets), arguments)]
     records = []
-    for kind in arguments.kinds:
-        for seed in range(arguments.seeds if kind in NETWORK_KINDS else 1):
-            network = NetworkOptions(max_epochs=arguments.epochs, threads=arguments.threads, seed=seed)
-            if kind == "mlp":
-                network = replace(network, layers=SMALL_LAYERS)
-            options = TrainingOptions(kind, embedding=arguments.embedding, network=network)
-            began_s, began_cpu_s = time.monotonic(), time.process_time()
-            trained = train_model(dataset, options)
-            took = {"seconds": time.monotonic() - began_s, "cpu_seconds": time.process_time() - began_cpu_s}
-            took |= {"epochs": len(trained.history)} if trained.history else {}
-            found = {"seen names": trained.metrics["test"]}
-            if kind not in NETWORK_KINDS or arguments.unseen_networks:
-                found["unseen objects"] = score_unseen(dataset, options)
-                found["unseen containers"] = score_unseen(dataset, options, "container")
-            for names, metrics in found.items():
-                record = {"model": kind, "names": names, "seed": seed, **{name: metrics[name] for name in METRICS}}
-                records.append(record | (took if names == "seen names" else {}))
-                print(", ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in records[-1].items()))
-    table = pd.DataFrame(records).drop(columns="seed").groupby(["names", "model"], sort=False)
-    print(table.mean().round(4).to_string())
+    # Each in a fresh process, so that its peak memory is its own.
+    with multiprocessing.get_context("spawn").Pool(arguments.jobs, maxtasksperchild=1) as pool:
+        for record in pool.imap(measure, tasks, chunksize=1):
+            records.append(record)
+            print(", ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{v}" for k, v in record.items()), flush=True)
+    table = pd.DataFrame(records).drop(columns="seed").groupby(["data", "model"], sort=False)
+    pd.set_option("display.width", 250)
+    print(f"\nmean over seeds\n{table.mean().round(4).to_string()}")
     if arguments.seeds > 1:
-        print("spread over seeds (standard deviation)")
-        print(table[list(METRICS)].std().dropna().round(5).to_string())
-    print(f"lowest log loss possible on these test homes: {trained.metrics['test']['best_log_loss']:.4f}")
-    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
+        print(f"\nstandard deviation over seeds\n{table[list(SEEN_METRICS)].std().dropna().round(5).to_string()}")
+    for name, dataset in datasets.items():
+        best = score(FrequencyModel(dataset.triples("train")), dataset.triples("test"))["best_log_loss"]
+        print(f"lowest log loss possible on the {name} test homes: {best:.4f}")
 
 
 if __name__ == "__main__":

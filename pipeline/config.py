@@ -140,6 +140,7 @@ class Trainer(_Section):
     """How the networks are trained."""
 
     learning_rate: float = Field(gt=0)
+    scale_learning_rate: float = Field(gt=0)
     weight_decay: float = Field(ge=0)
     batch_size: int = Field(ge=2)
     max_epochs: Positive

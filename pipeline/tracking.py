@@ -306,8 +306,13 @@ def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:
             code_paths=[str(code)],
             signature=SIGNATURE,
             input_example=example,
-            pip_requirements=[f"{name}=={importlib.metadata.version(name)}" for name in REQUIREMENTS],
+            pip_requirements=[f"{name}=={_public_version(name)}" for name in REQUIREMENTS],
         )
+
+
+def _public_version(package: str) -> str:
+    """The version as package indexes know it: ``2.13.0``, not the local build ``2.13.0+cpu``."""
+    return importlib.metadata.version(package).partition("+")[0]
 
 
 def _challenge(tracking: Tracking, trained: TrainedModel, dataset: Dataset) -> tuple[bool, str]:

@@ -74,12 +74,17 @@ def train(config: Config, rows_folder: Path) -> dict[str, Any]:
 
 
 def _train(config: Config, options: TrainingOptions, data: Dataset, run: tracking.Run) -> TrainedModel:
+    done = 0
     with console.Progress(config.trainer.max_epochs, "epochs (at most)") as progress:
 
         def on_epoch(epoch: int, metrics: EpochMetrics) -> None:
+            nonlocal done
             interrupt.check()
+            if epoch > done + 1:
+                console.line(f"an interrupted training goes on after epoch {epoch - 1}")
             tracking.log_metrics(run, metrics, step=epoch)
-            progress.update(note=f"validation log loss {metrics['validation_loss']:.4f}")
+            progress.update(epoch - done, f"validation log loss {metrics['validation_loss']:.4f}")
+            done = epoch
 
         trained = train_model(data, options, on_epoch, console.line)
     for split, metrics in trained.metrics.items():

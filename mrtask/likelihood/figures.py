@@ -4,8 +4,12 @@ from collections.abc import Sequence
 
 import pandas as pd
 from matplotlib.figure import Figure
+from scipy.stats import binomtest
 
 from mrtask.likelihood.network import EpochMetrics
+
+LOWEST_SHOWN = 1e-3
+"""Where the axes of an empty plot begin."""
 
 
 def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | None = None) -> Figure:
@@ -13,23 +17,33 @@ def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | Non
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.subplots()
     epochs = [entry["epoch"] for entry in history]
-    for key, label in (("train_loss", "training (with batch statistics)"), ("validation_loss", "validation homes")):
+    for key, label in (("train_loss", "training homes"), ("validation_loss", "validation homes")):
         axes.plot(epochs, [entry[key] for entry in history], label=label)
     if frequency_log_loss is not None:
         axes.axhline(frequency_log_loss, color="gray", linestyle="--", label="frequency table, validation homes")
-    axes.set(xlabel="epoch", ylabel="log loss", yscale="log")
+    axes.set(xlabel="epoch", ylabel="log loss")
     axes.legend()
     return figure
 
 
 def reliability_plot(reliability: pd.DataFrame) -> Figure:
-    """Observed frequency against mean probability of the bins of ``metrics.reliability``, on log axes."""
+    """Observed frequency against mean probability of the bins of ``metrics.reliability``, on log axes.
+
+    With Wilson's 95 % intervals, as if the rows were independent; a bin without finds is an interval only.
+    """
     figure = Figure(figsize=(5.0, 5.0), layout="constrained")
     axes = figure.subplots()
-    shown = reliability[(reliability["frequency"] > 0) & (reliability["mean_prob"] > 0)]
-    low = float(shown[["mean_prob", "frequency"]].to_numpy().min()) if len(shown) else 1e-3
+    tests = [
+        binomtest(round(frequency * rows), round(rows)).proportion_ci(method="wilson")
+        for frequency, rows in zip(reliability["frequency"], reliability["rows"], strict=True)
+    ]
+    smallest = reliability[["mean_prob", "frequency"]].to_numpy().ravel()
+    low = min((float(value) for value in smallest if value > 0), default=LOWEST_SHOWN) / 2
     axes.plot([low, 1.0], [low, 1.0], color="gray", linestyle="--", label="perfect")
-    axes.plot(shown["mean_prob"], shown["frequency"], marker="o", label="test homes, bins of equally many rows")
+    axes.vlines(reliability["mean_prob"], [max(test.low, low) for test in tests], [test.high for test in tests])
+    found = reliability[reliability["frequency"] > 0]
+    axes.plot(found["mean_prob"], found["frequency"], "o", label="test homes, bins of equally many rows")
     axes.set(xlabel="mean predicted probability", ylabel="observed frequency", xscale="log", yscale="log")
+    axes.set_ylim(bottom=low)
     axes.legend()
     return figure

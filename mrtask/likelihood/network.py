@@ -2,9 +2,14 @@
 
 Embeddings and kind tags in (``features.encode_triples``), fully connected layers each with batch norm and leaky ReLU,
 one sigmoid out. It is trained on distinct triples drawn in proportion to their counts, with the share of positives as
-label: loss and batch statistics are then in expectation those of the single rows, at a hundredth of the cost. The
-output starts at the training rows' log odds and the learning rate rises and falls once (Smith & Topin 2017, "1cycle"):
-without these the deep narrow network needs many times the epochs.
+label: loss and batch statistics are then in expectation those of the single rows, at a hundredth of the cost.
+
+Batch norm undoes whatever size the weight matrices give to a layer's output, so how far the log odds can spread is left
+to a few vectors: the norms' scales and shifts, the biases and the output layer. Adam moves each number by about its
+learning rate a step, and at a rate that the wide matrices bear these vectors are still far from where they belong when
+training ends: names are ranked well, but all probabilities are too near the base rate. So they have a higher rate, and
+no weight decay. The output starts at the training rows' log odds, and both rates rise and fall once (Smith & Topin
+2017, "1cycle").
 """
 
 import contextlib
@@ -43,15 +48,18 @@ EpochCallback = Callable[[int, EpochMetrics], None]
 class NetworkOptions:
     """How a network is built and trained.
 
-    ``learning_rate`` is the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's number.
+    ``learning_rate`` is that of the weight matrices, ``scale_learning_rate`` that of what sets the size of the log odds
+    (see the module); both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's
+    number.
     """
 
     layers: tuple[int, ...] = PAPER_LAYERS
-    learning_rate: float = 1e-2
+    learning_rate: float = 1e-3
+    scale_learning_rate: float = 3e-2
     weight_decay: float = 1e-2
     dropout: float = 0.0
     batch_size: int = 256
-    max_epochs: int = 80
+    max_epochs: int = 30
     patience: int = 20
     seed: int = 0
     device: str = "auto"
@@ -68,8 +76,10 @@ class NetworkOptions:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.batch_size < 2:
             raise ValueError("batch_size must be at least 2: batch norm needs more than one row")
-        if self.learning_rate <= 0 or self.weight_decay < 0 or not 0 <= self.dropout < 1 or self.threads < 0:
-            raise ValueError(f"learning_rate > 0, weight_decay >= 0, 0 <= dropout < 1, threads >= 0 needed, got {self}")
+        if min(self.learning_rate, self.scale_learning_rate) <= 0:
+            raise ValueError(f"learning_rate and scale_learning_rate must be above 0, got {self}")
+        if self.weight_decay < 0 or not 0 <= self.dropout < 1 or self.threads < 0:
+            raise ValueError(f"weight_decay >= 0, 0 <= dropout < 1, threads >= 0 needed, got {self}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +157,24 @@ def weighted_loss(logits: Tensor, positives: Tensor, count: Tensor) -> Tensor:
     return (positives * functional.softplus(-logits) + negatives * functional.softplus(logits)).sum()
 
 
+def set_statistics(module: nn.Sequential, inputs: Tensor, count: Tensor) -> Tensor:
+    """Give each batch norm the exact mean and variance over the rows behind the triples ``inputs [N, F]``.
+
+    The running ones lag behind the weights and carry the noise of the last batches. Returns the logits ``[N, 1]`` and
+    leaves the network in evaluation mode.
+    """
+    module.eval()
+    weight = (count / count.sum()).unsqueeze(1)
+    hidden = inputs
+    for layer in module:
+        if isinstance(layer, nn.BatchNorm1d):
+            mean = (weight * hidden).sum(dim=0)
+            layer.running_mean = mean
+            layer.running_var = (weight * (hidden - mean).square()).sum(dim=0)
+        hidden = layer(hidden)
+    return hidden
+
+
 def train_network(
     features: NDArray[np.float32],
     triples: pd.DataFrame,
@@ -159,8 +187,9 @@ def train_network(
     """Train until the validation log loss has not improved for ``patience`` epochs; returns the best epoch's network.
 
     ``features [N, F]`` belong to ``triples`` (columns ``positives``, ``count``). Without validation triples it trains
-    for ``max_epochs`` and returns the last. The history has one entry per epoch: ``epoch, train_loss, validation_loss,
-    best_validation_loss``. With ``checkpoint_dir`` an interrupted training goes on where it was and ends the same.
+    for ``max_epochs`` and returns the last. The history has one entry per epoch, with the mean log losses of the rows
+    at its end: ``epoch, train_loss, validation_loss, best_validation_loss``. With ``checkpoint_dir`` an interrupted
+    training goes on where it was and ends the same.
     """
     if len(features) < 2:
         raise ValueError(f"a network needs at least 2 distinct training triples, got {len(features)}")
@@ -202,9 +231,7 @@ class _Run:
         self.module = build_module(features.shape[1], options.layers, options.seed, options.dropout).to(device)
         share = (float(triples["positives"].sum()) + 0.5) / (float(triples["count"].sum()) + 1.0)
         nn.init.constant_(output_layer(self.module).bias, math.log(share / (1.0 - share)))
-        self.optimizer = torch.optim.AdamW(
-            self.module.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay, fused=True
-        )
+        self.optimizer = torch.optim.AdamW(_parameter_groups(self.module, options), fused=True)
         self.batches = math.ceil(len(features) / options.batch_size)
         self.generator = torch.Generator().manual_seed(options.seed)
         self.history: list[EpochMetrics] = []
@@ -226,24 +253,26 @@ class _Run:
         self.module.train()
         size = self.options.batch_size
         drawn = torch.multinomial(self.count.cpu(), self.batches * size, replacement=True, generator=self.generator)
-        total = 0.0
         # The random state of dropout belongs to the epoch, so that a resumed training draws the same.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.options.seed + len(self.history))
             for number, batch in enumerate(torch.split(drawn.to(self.inputs.device), size)):
-                self.optimizer.param_groups[0]["lr"] = self._learning_rate(len(self.history) * self.batches + number)
+                rate = self._rate(len(self.history) * self.batches + number)
+                for group in self.optimizer.param_groups:
+                    group["lr"] = group["highest_lr"] * rate
                 logits = self.module(self.inputs[batch]).squeeze(1)
                 share = self.positives[batch] / self.count[batch]
                 loss = weighted_loss(logits, share, torch.ones_like(share)) / size
                 self.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 self.optimizer.step()
-                total += loss.item() / self.batches
-        validation = self._loss(self.validation_inputs, self.validation_positives, self.validation_count)
+        with torch.no_grad():
+            logits = set_statistics(self.module, self.inputs, self.count)
+            validation_logits = self.module(self.validation_inputs)
         entry: EpochMetrics = {
             "epoch": float(len(self.history) + 1),
-            "train_loss": total,
-            "validation_loss": validation,
+            "train_loss": _log_loss(logits, self.positives, self.count),
+            "validation_loss": _log_loss(validation_logits, self.validation_positives, self.validation_count),
         }
         self.history.append(entry)
         if self._epochs_since_best() == 0:
@@ -251,19 +280,12 @@ class _Run:
         entry["best_validation_loss"] = min(past["validation_loss"] for past in self.history)
         return entry
 
-    def _learning_rate(self, step: int) -> float:
+    def _rate(self, step: int) -> float:
+        """Which part of the highest learning rates a step takes."""
         position = (step + 1) / (self.options.max_epochs * self.batches)
         if position < WARM_UP:
-            return self.options.learning_rate * position / WARM_UP
-        return self.options.learning_rate * 0.5 * (1.0 + math.cos(math.pi * (position - WARM_UP) / (1.0 - WARM_UP)))
-
-    def _loss(self, inputs: Tensor, positives: Tensor, count: Tensor) -> float:
-        if not len(count):
-            return float("nan")
-        self.module.eval()
-        with torch.inference_mode():
-            logits = self.module(inputs).squeeze(1).double()
-            return float(weighted_loss(logits, positives.double(), count.double()) / count.double().sum())
+            return position / WARM_UP
+        return 0.5 * (1.0 + math.cos(math.pi * (position - WARM_UP) / (1.0 - WARM_UP)))
 
     def checkpoint(self, path: Path) -> None:
         tensors = {f"module.{name}": value for name, value in self.module.state_dict().items()}
@@ -298,6 +320,25 @@ class _Run:
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
         self.generator.set_state(tensors["generator"])
         self.history = json.loads(metadata["history"])
+
+
+def _log_loss(logits: Tensor, positives: Tensor, count: Tensor) -> float:
+    """Mean log loss of the rows; NaN where there are none."""
+    if not len(count):
+        return float("nan")
+    summed = weighted_loss(logits.squeeze(1).double(), positives.double(), count.double())
+    return float(summed / count.double().sum())
+
+
+def _parameter_groups(module: nn.Sequential, options: NetworkOptions) -> list[dict[str, Any]]:
+    """The weight matrices, and apart from them what sets the size of the log odds."""
+    output = output_layer(module).weight
+    scales = [value for value in module.parameters() if value.ndim == 1 or value is output]
+    matrices = [value for value in module.parameters() if value.ndim > 1 and value is not output]
+    return [
+        {"params": matrices, "highest_lr": options.learning_rate, "weight_decay": options.weight_decay},
+        {"params": scales, "highest_lr": options.scale_learning_rate, "weight_decay": 0.0},
+    ]
 
 
 def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -75,13 +75,49 @@ def train_model(
     ``on_epoch(epoch, {"train_loss", "validation_loss", ...})`` is called after each epoch, ``on_phase(text)`` before
     each long step.
     """
-    tell = on_phase or (lambda text: None)
-    model, history = _fit(dataset.triples("train"), dataset.triples("validation"), options, on_epoch, tell)
-    tell("measuring")
+    model, history = fit(dataset.triples("train"), dataset.triples("validation"), options, on_epoch, on_phase)
+    if on_phase is not None:
+        on_phase("measuring")
     metrics = {split: score(model, dataset.triples(split)) for split in SPLITS}
     if options.kind in TRAINED_AT_ONCE:
         metrics["unseen"] = score_unseen(dataset, options)
     return TrainedModel(model, options, metrics, history)
+
+
+def fit(
+    train: pd.DataFrame,
+    validation: pd.DataFrame,
+    options: TrainingOptions,
+    on_epoch: EpochCallback | None = None,
+    on_phase: Callable[[str], None] | None = None,
+) -> tuple[LikelihoodModel, list[EpochMetrics]]:
+    """A model of triples with ``positives`` and ``count``, and for networks its history; see ``train_model``."""
+    tell = on_phase or (lambda text: None)
+    history: list[EpochMetrics] = []
+    model: LikelihoodModel
+    if options.kind == "frequency":
+        model = FrequencyModel(train, options.smoothing)
+    elif options.kind == "similarity":
+        tell("embedding names and fitting")
+        model = train_similarity(train, options.smoothing, options.embedding, options.cache_dir)
+    else:
+        tell("embedding names")
+        features = encode_triples(train, options.embedding, options.cache_dir)
+        tell(f"training {options.kind}")
+        if options.kind == "logistic":
+            model = train_logistic(features, train, options.regularisation, options.embedding, options.cache_dir)
+        else:
+            module, history = train_network(
+                features,
+                train,
+                encode_triples(validation, options.embedding, options.cache_dir),
+                validation,
+                options.network,
+                on_epoch,
+                options.checkpoint_dir,
+            )
+            model = NetworkModel(options.kind, module, options.network.layers, options.embedding, options.cache_dir)
+    return model, history
 
 
 def score(model: LikelihoodModel, triples: pd.DataFrame) -> dict[str, float]:
@@ -109,43 +145,9 @@ def score_unseen(
         held = [frame[column].map(fold_of) == fold for frame in (train, validation, test)]
         if not (~held[0]).any() or not held[2].any():
             continue
-        model, _ = _fit(train[~held[0]], validation[~held[1]], options, None, lambda text: None)
+        model, _ = fit(train[~held[0]], validation[~held[1]], options)
         scored.append(test[held[2]])
         probs.append(model.predict(scored[-1]))
     if not scored:
         return evaluate(np.zeros(0), test.head(0))
     return evaluate(np.concatenate(probs), pd.concat(scored))
-
-
-def _fit(
-    train: pd.DataFrame,
-    validation: pd.DataFrame,
-    options: TrainingOptions,
-    on_epoch: EpochCallback | None,
-    tell: Callable[[str], None],
-) -> tuple[LikelihoodModel, list[EpochMetrics]]:
-    history: list[EpochMetrics] = []
-    model: LikelihoodModel
-    if options.kind == "frequency":
-        model = FrequencyModel(train, options.smoothing)
-    elif options.kind == "similarity":
-        tell("embedding names and fitting")
-        model = train_similarity(train, options.smoothing, options.embedding, options.cache_dir)
-    else:
-        tell("embedding names")
-        features = encode_triples(train, options.embedding, options.cache_dir)
-        tell(f"training {options.kind}")
-        if options.kind == "logistic":
-            model = train_logistic(features, train, options.regularisation, options.embedding, options.cache_dir)
-        else:
-            module, history = train_network(
-                features,
-                train,
-                encode_triples(validation, options.embedding, options.cache_dir),
-                validation,
-                options.network,
-                on_epoch,
-                options.checkpoint_dir,
-            )
-            model = NetworkModel(options.kind, module, options.network.layers, options.embedding, options.cache_dir)
-    return model, history

@@ -15,6 +15,7 @@ from mrtask.likelihood.network import (
     NetworkOptions,
     build_module,
     predict_features,
+    set_statistics,
     train_network,
     weighted_loss,
 )
@@ -74,6 +75,35 @@ def test_loss_and_gradient_of_counts_equal_those_of_single_rows(problem):
         [weighted_loss(module(inputs[[i]])[0], positives[i] / count[i], count.new_ones(1)) for i in range(80)]
     )
     assert (drawn * count / count.sum()).sum().item() == pytest.approx(by_row.item(), rel=1e-5)
+
+
+def test_statistics_are_those_of_the_single_rows(problem):
+    """A pass in training mode over all rows as one batch normalises alike, and its momentum of 1 keeps what it saw."""
+    features, triples, _, _ = problem
+    inputs, count = torch.from_numpy(features), torch.tensor(triples["count"].to_numpy(), dtype=torch.float32)
+    by_count, by_row = (build_module(6, (16, 8), seed=0) for _ in range(2))
+    norms = [[layer for layer in module if isinstance(layer, nn.BatchNorm1d)] for module in (by_count, by_row)]
+    for layer in norms[1]:
+        layer.momentum = 1.0
+    with torch.no_grad():
+        logits = set_statistics(by_count, inputs, count)
+        by_row.train()(inputs[torch.repeat_interleave(torch.arange(len(inputs)), count.long())])
+        assert torch.equal(logits, by_count(inputs)) and not by_count.training
+    for one, other in zip(*norms, strict=True):
+        assert torch.allclose(one.running_mean, other.running_mean, atol=1e-5)
+        assert torch.allclose(one.running_var, other.running_var, rtol=1e-3)
+
+
+def test_deep_and_narrow_it_still_reaches_all_probabilities(problem):
+    """Ranking is the easy part: without a higher rate for what sets their size, log odds stay near the base rate's."""
+    options = replace(SMALL, layers=(64, 32, 16, 8, 4), max_epochs=60, patience=60)
+    features, triples = problem[2:]
+    frequency = (triples["positives"] / triples["count"]).to_numpy()
+    error = {}
+    for rate in (options.learning_rate, options.scale_learning_rate):
+        module, _ = train_network(*problem, replace(options, scale_learning_rate=rate))
+        error[rate] = np.abs(predict_features(module, features) - frequency).mean()
+    assert error[options.scale_learning_rate] < 0.6 * error[options.learning_rate]
 
 
 def test_learns_what_can_be_learnt(problem):
@@ -172,7 +202,8 @@ def test_prediction_does_not_depend_on_the_batch(problem):
         ({"device": "tpu"}, "unknown device 'tpu'; allowed: auto, cpu, cuda, mps"),
         ({"max_epochs": 0}, "max_epochs must be at least 1, got 0"),
         ({"batch_size": 1}, "batch_size must be at least 2"),
-        ({"learning_rate": 0.0}, "learning_rate > 0"),
+        ({"learning_rate": 0.0}, "learning_rate and scale_learning_rate must be above 0"),
+        ({"dropout": 1.0}, "0 <= dropout < 1"),
     ],
 )
 def test_bad_options(wrong, message):
