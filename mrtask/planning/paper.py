@@ -13,13 +13,15 @@ from time import perf_counter
 import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, needed
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, FloatArray, Plan, PlanInfo, PlanningProblem, needed
 from mrtask.tasks.automaton import Automaton
 
 DEEPEST_PATH = 4096
 BATCH_SAMPLES = 256
 MOST_OBJECTS = 30
 MOST_SETS = 4096
+LEAST_PROB = 1e-6
+"""Likelihood of an object in each container open to search where the given ones say that it is nowhere."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
     model = kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         away_s=np.array([robot.travel_s for robot in problem.robots]),
-        prob=np.where(problem.searched[:, None], 0.0, problem.presence_prob),
+        prob=_search_prob(problem),
         transitions=automaton.transitions.astype(np.int32),
         accepting=automaton.accepting.astype(np.uint8),
         advancing=(automaton.advancing * bits).sum(axis=1).astype(np.int64),
@@ -130,6 +132,15 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         else:
             _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
     return model, root, _blank_belief(containers, objects, len(problem.robots))
+
+
+def _search_prob(problem: PlanningProblem) -> FloatArray:
+    """[C, O] the likelihoods in unsearched containers. An object with none above 0 is looked for all the same."""
+    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
+    unsearched = ~problem.searched & reachable
+    prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
+    nowhere = ~problem.found() & (prob == 0.0).all(axis=0)
+    return np.where(unsearched[:, None] & nowhere, LEAST_PROB, prob)
 
 
 def sufficient_sets(automaton: Automaton) -> kernel.I8:

@@ -69,7 +69,7 @@ class NaivePaperSearch:
         self.needed = [set().union(*map(set, self._ways(z))) for z in range(len(self.delta))]
         self.sufficient = [self._minimal(z) for z in range(len(self.delta))]
         self.travel_s, self.away_s = problem.travel_s.tolist(), [robot.travel_s.tolist() for robot in problem.robots]
-        self.prob = problem.presence_prob.tolist()
+        self.prob = self._likelihoods(problem)
         self.search_s, self.interact_s = problem.search_time_s, problem.interact_time_s
         finite_s = [s for row in self.travel_s for s in row if s < math.inf]
         self.penalty_s = len(self.containers) * (max([1.0, *finite_s]) + self.search_s)
@@ -100,9 +100,19 @@ class NaivePaperSearch:
                 complete.add(frozenset(way))
         return [one for one in complete if not any(other < one for other in complete)]
 
+    def _likelihoods(self, problem):
+        """What is nowhere, as far as the likelihoods go, may with little probability be in all places left."""
+        prob = problem.presence_prob.tolist()
+        places = [c for c in self.containers if any(robot.travel_s[c] < math.inf for robot in problem.robots)]
+        for o in self.objects:
+            if all(prob[c][o] == 0 for c in places):
+                for c in places:
+                    prob[c][o] = 0.0 if problem.searched[c] else 1e-6
+        return prob
+
     def _start(self, problem):
         searched = {c for c in self.containers if problem.searched[c]}
-        known = {(c, o): bool(self.prob[c][o] > 0) for c in searched for o in self.objects}
+        known = {(c, o): bool(problem.presence_prob[c, o] > 0) for c in searched for o in self.objects}
         robots = []
         for status in problem.robots:
             robot = Robot(status.place if status.place >= 0 else None, undecided=status.free)
