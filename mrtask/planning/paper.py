@@ -31,8 +31,10 @@ class PaperOptions:
     samples: int = 100_000
     time_limit_s: float | None = None
     """Stop earlier after this many seconds; plans then depend on the machine."""
-    exploration: float = 1.0
-    """UCB1's constant, in standard deviations of the cost at the root."""
+    exploration: float = 0.2
+    """UCB1's constant, in units of the range of the costs sampled so far (UCB1 is stated for rewards within [0, 1]).
+    In units of their standard deviation exploration ended for good once the search kept to an action whose cost hardly
+    varies."""
     max_nodes: int = 1_000_000
     """The tree stops growing there; further samples only refine it."""
 
@@ -67,14 +69,14 @@ class PaperPouct:
         tree = _empty_tree(min(options.samples + 1, options.max_nodes))
         kernel.new_node(root, tree, kernel.NONE)
         rng = np.array([seed], dtype=np.uint64)
-        moments, path = np.zeros(3), np.empty(DEEPEST_PATH, dtype=np.int32)
+        extremes, path = np.array([np.inf, -np.inf]), np.empty(DEEPEST_PATH, dtype=np.int32)
         containers, objects = model.prob.shape
         scratch = kernel.Scratch(np.empty(containers), np.empty(containers, dtype=np.int32), np.empty(objects))
         done = 0
         batch = options.samples if options.time_limit_s is None else BATCH_SAMPLES
         while done < options.samples:
             count = min(batch, options.samples - done)
-            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, moments, path, scratch)
+            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, extremes, path, scratch)
             done += count
             if options.time_limit_s is not None and perf_counter() - began_s > options.time_limit_s:
                 break
@@ -99,10 +101,11 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         raise ValueError(f"pouct_paper handles tasks of up to {MOST_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     bits = 1 << np.arange(objects)
-    finite_s = problem.travel_s[np.isfinite(problem.travel_s)]
+    away_s = np.array([robot.travel_s for robot in problem.robots])
+    ways_s = np.concatenate([problem.travel_s, away_s])
     model = kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
-        away_s=np.array([robot.travel_s for robot in problem.robots]),
+        away_s=away_s,
         prob=_search_prob(problem),
         transitions=automaton.transitions.astype(np.int32),
         accepting=automaton.accepting.astype(np.uint8),
@@ -111,7 +114,7 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
-        penalty_s=float(containers * (finite_s.max(initial=1.0) + problem.search_time_s)),
+        penalty_s=float(containers * (ways_s[np.isfinite(ways_s)].max(initial=1.0) + problem.search_time_s)),
     )
     known = np.where(problem.presence_prob > 0, kernel.PRESENT, kernel.ABSENT)
     known[~problem.searched] = kernel.UNKNOWN

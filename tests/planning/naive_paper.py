@@ -71,12 +71,12 @@ class NaivePaperSearch:
         self.travel_s, self.away_s = problem.travel_s.tolist(), [robot.travel_s.tolist() for robot in problem.robots]
         self.prob = self._likelihoods(problem)
         self.search_s, self.interact_s = problem.search_time_s, problem.interact_time_s
-        finite_s = [s for row in self.travel_s for s in row if s < math.inf]
+        finite_s = [s for row in self.travel_s + self.away_s for s in row if s < math.inf]
         self.penalty_s = len(self.containers) * (max([1.0, *finite_s]) + self.search_s)
         self.exploration, self.limit, self.random = exploration, limit, SplitMix64(seed)
         self.start = self._start(problem)
-        self.nodes = self.edges = self.samples = 0
-        self.mean_s = self.deviation = 0.0
+        self.nodes = self.edges = 0
+        self.costs_s = []
         self.root = self._new_node(self.start, None)
 
     def _ways(self, z, seen=()):
@@ -220,12 +220,9 @@ class NaivePaperSearch:
 
     def run(self, samples):
         for _ in range(samples):
-            spread_s = math.sqrt(self.deviation / self.samples) if self.samples > 1 else 1.0
-            path, cost_s = self._sample(self.exploration * spread_s)
-            self.samples += 1
-            before_s = cost_s - self.mean_s
-            self.mean_s += before_s / self.samples
-            self.deviation += before_s * (cost_s - self.mean_s)
+            range_s = max(self.costs_s) - min(self.costs_s) if self.costs_s else 0.0
+            path, cost_s = self._sample(self.exploration * range_s)
+            self.costs_s.append(cost_s)
             for edge in path:
                 edge.tries += 1
                 edge.total_s += cost_s

@@ -144,8 +144,12 @@ def test_searches_grow_the_same_tree(problem, samples, limit):
     model, root, belief = paper.prepare(problem)
     tree = paper._empty_tree(limit)
     kernel.new_node(root, tree, kernel.NONE)
-    moments, path, rng = np.zeros(3), np.empty(paper.DEEPEST_PATH, dtype=np.int32), np.array([5], dtype=np.uint64)
-    kernel.run_samples(model, root, belief, tree, 0.7, rng, samples, moments, path, scratch_of(model))
+    extremes, path, rng = (
+        np.array([np.inf, -np.inf]),
+        np.empty(paper.DEEPEST_PATH, dtype=np.int32),
+        np.array([5], dtype=np.uint64),
+    )
+    kernel.run_samples(model, root, belief, tree, 0.7, rng, samples, extremes, path, scratch_of(model))
     assert list(tree.size) == [twin.nodes, twin.edges]
-    assert list(moments) == [samples, twin.mean_s, twin.deviation]
+    assert list(extremes) == [min(twin.costs_s), max(twin.costs_s)]
     assert_equal_trees(tree, 0, twin.root, problem.presence_prob.shape[1])
