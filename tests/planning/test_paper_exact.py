@@ -38,15 +38,12 @@ def test_the_exact_solver_agrees_with_cases_by_hand():
 
 
 def test_pouct_paper_comes_to_the_exact_optimum_and_more_samples_err_less():
-    """UCB1 on mean costs is slow where the best action pays only if what follows it is right, too: see the bounds."""
-    found = {1_000: [], 1_000_000: []}
+    found = {30: [], 1_000_000: []}
     for number in range(20):
         problem = tiny_problem(number)
         solver = exact_solver("pouct_paper", problem)
         for samples, seen in found.items():
             seen.append(errors("pouct_paper", problem, solver, samples))
     few, many = (np.array(seen) for seen in found.values())
-    assert many[:, 0].mean() < few[:, 0].mean()
-    assert many[:, 1].mean() < few[:, 1].mean()
-    assert many.mean(axis=0).max() < EXACT / 2
-    assert ((many > EXACT).sum(axis=0) <= 2).all()
+    assert (many < EXACT).all()
+    assert (many.mean(axis=0) < few.mean(axis=0)).all()
