@@ -13,13 +13,15 @@ from time import perf_counter
 import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, needed
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, FloatArray, Plan, PlanInfo, PlanningProblem, needed
 from mrtask.tasks.automaton import Automaton
 
 DEEPEST_PATH = 4096
 BATCH_SAMPLES = 256
 MOST_OBJECTS = 30
 MOST_SETS = 4096
+LEAST_PROB = 1e-6
+"""Likelihood of an object in each container open to search where the given ones say that it is nowhere."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +31,10 @@ class PaperOptions:
     samples: int = 100_000
     time_limit_s: float | None = None
     """Stop earlier after this many seconds; plans then depend on the machine."""
-    exploration: float = 1.0
-    """UCB1's constant, in standard deviations of the cost at the root."""
+    exploration: float = 0.2
+    """UCB1's constant, in units of the range of the costs sampled so far (UCB1 is stated for rewards within [0, 1]).
+    In units of their standard deviation exploration ended for good once the search kept to an action whose cost hardly
+    varies."""
     max_nodes: int = 1_000_000
     """The tree stops growing there; further samples only refine it."""
 
@@ -65,14 +69,14 @@ class PaperPouct:
         tree = _empty_tree(min(options.samples + 1, options.max_nodes))
         kernel.new_node(root, tree, kernel.NONE)
         rng = np.array([seed], dtype=np.uint64)
-        moments, path = np.zeros(3), np.empty(DEEPEST_PATH, dtype=np.int32)
+        extremes, path = np.array([np.inf, -np.inf]), np.empty(DEEPEST_PATH, dtype=np.int32)
         containers, objects = model.prob.shape
         scratch = kernel.Scratch(np.empty(containers), np.empty(containers, dtype=np.int32), np.empty(objects))
         done = 0
         batch = options.samples if options.time_limit_s is None else BATCH_SAMPLES
         while done < options.samples:
             count = min(batch, options.samples - done)
-            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, moments, path, scratch)
+            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, extremes, path, scratch)
             done += count
             if options.time_limit_s is not None and perf_counter() - began_s > options.time_limit_s:
                 break
@@ -97,11 +101,12 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         raise ValueError(f"pouct_paper handles tasks of up to {MOST_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     bits = 1 << np.arange(objects)
-    finite_s = problem.travel_s[np.isfinite(problem.travel_s)]
+    away_s = np.array([robot.travel_s for robot in problem.robots])
+    ways_s = np.concatenate([problem.travel_s, away_s])
     model = kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
-        away_s=np.array([robot.travel_s for robot in problem.robots]),
-        prob=np.where(problem.searched[:, None], 0.0, problem.presence_prob),
+        away_s=away_s,
+        prob=_search_prob(problem),
         transitions=automaton.transitions.astype(np.int32),
         accepting=automaton.accepting.astype(np.uint8),
         advancing=(automaton.advancing * bits).sum(axis=1).astype(np.int64),
@@ -109,7 +114,7 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
-        penalty_s=float(containers * (finite_s.max(initial=1.0) + problem.search_time_s)),
+        penalty_s=float(containers * (ways_s[np.isfinite(ways_s)].max(initial=1.0) + problem.search_time_s)),
     )
     known = np.where(problem.presence_prob > 0, kernel.PRESENT, kernel.ABSENT)
     known[~problem.searched] = kernel.UNKNOWN
@@ -130,6 +135,15 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         else:
             _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
     return model, root, _blank_belief(containers, objects, len(problem.robots))
+
+
+def _search_prob(problem: PlanningProblem) -> FloatArray:
+    """[C, O] the likelihoods in unsearched containers. An object with none above 0 is looked for all the same."""
+    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
+    unsearched = ~problem.searched & reachable
+    prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
+    nowhere = ~problem.found() & (prob == 0.0).all(axis=0)
+    return np.where(unsearched[:, None] & nowhere, LEAST_PROB, prob)
 
 
 def sufficient_sets(automaton: Automaton) -> kernel.I8:

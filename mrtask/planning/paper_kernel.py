@@ -326,17 +326,21 @@ def run_samples(
     exploration: float,
     rng: U8,
     samples: int,
-    moments: F8,
+    extremes: F8,
     path: I4,
     scratch: Scratch,
 ) -> None:
-    """Runs samples from node 0, which must exist; arguments as in `pouct_kernel.run_samples`."""
+    """Runs samples from node 0, which must exist.
+
+    ``extremes`` [2] keeps the least and the largest cost drawn so far, inf and -inf at first; ``path`` is scratch for
+    the edges of one sample. A full tree grows no further: samples then leave it at its fringe.
+    """
     for _ in range(samples):
         copy_belief(root, belief)
-        spread_s = np.sqrt(moments[2] / moments[0]) if moments[0] > 1 else 1.0
+        range_s = max(extremes[1] - extremes[0], 0.0)
         node, depth, rest_s = 0, 0, 0.0
         while True:
-            edge = _select(model, belief, tree, node, exploration * spread_s)
+            edge = _select(model, belief, tree, node, exploration * range_s)
             tree.visits[node] += 1
             if edge == NONE:
                 rest_s = lower_bound_s(model, belief, scratch)
@@ -371,10 +375,8 @@ def run_samples(
                 break
             node = child
         cost_s = belief.clock[0] + rest_s
-        moments[0] += 1
-        delta = cost_s - moments[1]
-        moments[1] += delta / moments[0]
-        moments[2] += delta * (cost_s - moments[1])
+        extremes[0] = min(extremes[0], cost_s)
+        extremes[1] = max(extremes[1], cost_s)
         for step in range(depth):
             tree.tries[path[step]] += 1
             tree.total_s[path[step]] += cost_s

@@ -34,6 +34,8 @@ class MyopicPlanner:
         """See the module; the rule draws nothing, so ``seed`` does not matter."""
         assignments: dict[int, Assignment] = {}
         free = {index for index, robot in enumerate(problem.robots) if robot.free}
+        if problem.automaton.accepting[problem.state]:
+            return Plan({robot: Assignment(WAIT) for robot in sorted(free)})
         targeted = {robot.target for robot in problem.robots if robot.target >= 0}
         for robot, assignment in _interactions(problem, free):
             if assignment.container not in targeted:

@@ -1,5 +1,7 @@
 """Small planning problems, random and by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mrtask.planning.problem import PlanningProblem, RobotStatus
@@ -7,6 +9,15 @@ from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula
 
 NAMES = ("a", "b", "c", "d")
+SHAPES = {
+    "and2": ((1, 4), (2, 2), (3, 1), (1, 3), (2, 3), (3, 2), (1, 2)),
+    "and3": ((1, 2), (2, 2), (3, 1), (1, 3), (2, 1)),
+    "and_or": ((1, 3), (2, 2), (3, 1), (1, 4), (2, 1), (1, 2)),
+    "seq2": ((3, 2), (1, 4), (2, 2), (1, 3), (3, 1), (2, 3)),
+    "seq3": ((2, 2), (1, 3), (3, 1), (1, 4), (2, 1)),
+    "or_seq": ((1, 2), (2, 1), (1, 3), (2, 2), (3, 1)),
+}
+"""Robots and containers of `tiny_problem`: what plain Python solves exactly in seconds."""
 
 
 def random_problem(seed, *, template="and2", robots=1, containers=3, search_time_s=0.0, interact_time_s=0.0):
@@ -39,3 +50,36 @@ def make_problem(formula, names, points, starts, prob, *, searched=(), **times):
     return PlanningProblem(
         automaton, automaton.initial, np.asarray(prob, dtype=float), done, travel_s, tuple(robots), **times
     )
+
+
+def tiny_problem(number):
+    """The ``number``-th of endless random problems of all six templates: 1 to 3 robots, up to 4 containers.
+
+    In about half of them searches take time, in half interactions do, in half the robots start apart. In some a
+    container was searched before; in some the last robot is under way.
+    """
+    rng = np.random.default_rng([number, 20260320])
+    template = tuple(TEMPLATES)[number % len(TEMPLATES)]
+    robots, containers = SHAPES[template][number // len(TEMPLATES) % len(SHAPES[template])]
+    names = NAMES[: TEMPLATES[template].arity]
+    prob = np.clip(rng.beta(0.5, 1.0, (containers, len(names))), 0.05, 0.95)
+    searched = [0] if containers > 1 and rng.random() < 0.3 else []
+    prob[searched] = rng.random((len(searched), len(names))) < 0.5
+    starts = rng.random((robots, 2)) * 10
+    if rng.random() < 0.5:
+        starts[:] = starts[0]
+    problem = make_problem(
+        make_formula(template, names),
+        names,
+        rng.random((containers, 2)) * 10,
+        starts,
+        prob,
+        searched=searched,
+        search_time_s=float(rng.choice([0.0, 2.0])) * rng.random(),
+        interact_time_s=float(rng.choice([0.0, 2.0])) * rng.random(),
+    )
+    if robots > 1 and rng.random() < 0.3:
+        last, target = problem.robots[-1], containers - 1
+        under_way = replace(last, free=False, target=target, remaining_s=float(last.travel_s[target]))
+        problem = replace(problem, robots=(*problem.robots[:-1], under_way))
+    return problem
