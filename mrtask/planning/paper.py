@@ -7,45 +7,32 @@ bound that puts every object at its nearest possible container was tried first: 
 containers and led to costs no better than the non-learned baseline's.) The plan is the joint action of least mean cost.
 """
 
-from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, FloatArray, Plan, PlanInfo, PlanningProblem, needed
+from mrtask.planning.tree import (
+    NONE,
+    SearchOptions,
+    Tree,
+    edges_of,
+    empty_tree,
+    mean_cost_s,
+    root_statistics,
+    run_search,
+)
 from mrtask.tasks.automaton import Automaton
 
-DEEPEST_PATH = 4096
-BATCH_SAMPLES = 256
 MOST_OBJECTS = 30
 MOST_SETS = 4096
 LEAST_PROB = 1e-6
 """Likelihood of an object in each container open to search where the given ones say that it is nowhere."""
 
 
-@dataclass(frozen=True)
-class PaperOptions:
+class PaperOptions(SearchOptions):
     """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration."""
-
-    samples: int = 100_000
-    time_limit_s: float | None = None
-    """Stop earlier after this many seconds; plans then depend on the machine."""
-    exploration: float = 0.2
-    """UCB1's constant, in units of the range of the costs sampled so far (UCB1 is stated for rewards within [0, 1]).
-    In units of their standard deviation exploration ended for good once the search kept to an action whose cost hardly
-    varies."""
-    max_nodes: int = 1_000_000
-    """The tree stops growing there; further samples only refine it."""
-
-    def __post_init__(self) -> None:
-        for name in ("samples", "max_nodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if self.exploration < 0:
-            raise ValueError(f"exploration must be >= 0, not {self.exploration}")
-        if self.time_limit_s is not None and self.time_limit_s <= 0:
-            raise ValueError(f"time_limit_s must be > 0 or null, not {self.time_limit_s}")
 
 
 class PaperPouct:
@@ -66,30 +53,21 @@ class PaperPouct:
             return Plan({index: Assignment(WAIT) for index in free})
         options = self.options
         model, root, belief = prepare(problem)
-        tree = _empty_tree(min(options.samples + 1, options.max_nodes))
-        kernel.new_node(root, tree, kernel.NONE)
+        tree = empty_tree(options)
+        kernel.decision_node(root, tree, NONE)
         rng = np.array([seed], dtype=np.uint64)
-        extremes, path = np.array([np.inf, -np.inf]), np.empty(DEEPEST_PATH, dtype=np.int32)
         containers, objects = model.prob.shape
         scratch = kernel.Scratch(np.empty(containers), np.empty(containers, dtype=np.int32), np.empty(objects))
-        done = 0
-        batch = options.samples if options.time_limit_s is None else BATCH_SAMPLES
-        while done < options.samples:
-            count = min(batch, options.samples - done)
-            kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, extremes, path, scratch)
-            done += count
-            if options.time_limit_s is not None and perf_counter() - began_s > options.time_limit_s:
-                break
-        best = _cheapest(tree, 0)
+        done = run_search(
+            options,
+            run=lambda count: kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, scratch),
+        )
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
             tree_nodes=int(tree.size[0]),
-            value_s=float(tree.total_s[best] / tree.tries[best]),
-            root=tuple(
-                (int(tree.action[edge]), int(tree.tries[edge]), float(tree.total_s[edge] / tree.tries[edge]), np.nan)
-                for edge in _edges(tree, 0)
-            ),
+            value_s=mean_cost_s(tree, _cheapest(tree, 0)),
+            root=root_statistics(tree, lambda action: _assignment(action, objects)),
         )
         return Plan(_joint_action(problem, tree, free), info)
 
@@ -165,7 +143,7 @@ def sufficient_sets(automaton: Automaton) -> kernel.I8:
                 raise ValueError(f"more than {MOST_SETS} ways to complete the task; simplify the formula")
             if minimal != sets[state]:
                 sets[state], changed = minimal, True
-    table = np.full((len(sets), max(1, *map(len, sets))), kernel.NONE, dtype=np.int64)
+    table = np.full((len(sets), max(1, *map(len, sets))), NONE, dtype=np.int64)
     for state, members in enumerate(sets):
         table[state, : len(members)] = sorted(members)
     return table
@@ -185,49 +163,21 @@ def _blank_belief(containers: int, objects: int, robots: int) -> kernel.PaperBel
         state=np.zeros(2, dtype=np.int64),
         known=np.zeros((containers, objects), dtype=np.uint8),
         searched=np.zeros(containers, dtype=np.uint8),
-        place=np.full(robots, kernel.NONE, dtype=np.int32),
-        obj=np.full(robots, kernel.NONE, dtype=np.int32),
+        place=np.full(robots, NONE, dtype=np.int32),
+        obj=np.full(robots, NONE, dtype=np.int32),
         arrive_s=np.zeros(robots),
         done_s=np.zeros(robots),
         undecided=np.zeros(robots, dtype=np.uint8),
     )
 
 
-def _empty_tree(nodes: int) -> kernel.PaperTree:
-    def integers() -> kernel.I4:
-        return np.empty(nodes, dtype=np.int32)
-
-    return kernel.PaperTree(
-        size=np.zeros(2, dtype=np.int64),
-        visits=integers(),
-        robot=integers(),
-        next_try=integers(),
-        first_edge=integers(),
-        key=np.empty(nodes, dtype=np.int64),
-        sibling=integers(),
-        action=integers(),
-        next_edge=integers(),
-        first_child=integers(),
-        tries=integers(),
-        total_s=np.empty(nodes),
-    )
-
-
-def _edges(tree: kernel.PaperTree, node: int) -> list[int]:
-    edges, edge = [], int(tree.first_edge[node])
-    while edge != kernel.NONE:
-        edges.append(edge)
-        edge = int(tree.next_edge[edge])
-    return edges
-
-
-def _cheapest(tree: kernel.PaperTree, node: int, allow_wait: bool = True) -> int:
+def _cheapest(tree: Tree, node: int, allow_wait: bool = True) -> int:
     """The edge of least mean cost, NONE if there is no such edge."""
-    edges = [edge for edge in _edges(tree, node) if allow_wait or tree.action[edge] != kernel.WAIT]
-    return min(edges, key=lambda edge: float(tree.total_s[edge] / tree.tries[edge]), default=kernel.NONE)
+    edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.action[edge] != kernel.WAIT]
+    return min(edges, key=lambda edge: mean_cost_s(tree, edge), default=NONE)
 
 
-def _joint_action(problem: PlanningProblem, tree: kernel.PaperTree, free: list[int]) -> dict[int, Assignment]:
+def _joint_action(problem: PlanningProblem, tree: Tree, free: list[int]) -> dict[int, Assignment]:
     """Follows the edges of least mean cost through the free robots; robots the tree did not reach wait.
 
     Somebody acts if anybody can: where the whole team would wait, the first robot takes its cheapest other action.
@@ -237,15 +187,17 @@ def _joint_action(problem: PlanningProblem, tree: kernel.PaperTree, free: list[i
     under_way = len(free) < len(problem.robots)
     node = 0
     for _ in free:
-        edge = _cheapest(tree, node) if node != kernel.NONE else kernel.NONE
-        if edge == kernel.NONE:
+        edge = _cheapest(tree, node) if node != NONE else NONE
+        if edge == NONE:
             break
         action = int(tree.action[edge])
-        if action != kernel.WAIT:
-            assignments[int(tree.robot[node])] = Assignment(action // objects, action % objects)
+        assignments[int(tree.robot[node])] = _assignment(action, objects)
         node = int(tree.first_child[edge])
     edge = _cheapest(tree, 0, allow_wait=False)
-    if edge != kernel.NONE and not under_way and all(chosen.container == WAIT for chosen in assignments.values()):
-        action = int(tree.action[edge])
-        assignments[int(tree.robot[0])] = Assignment(action // objects, action % objects)
+    if edge != NONE and not under_way and all(chosen.container == WAIT for chosen in assignments.values()):
+        assignments[int(tree.robot[0])] = _assignment(int(tree.action[edge]), objects)
     return assignments
+
+
+def _assignment(action: int, objects: int) -> Assignment:
+    return Assignment(WAIT, 0) if action == kernel.WAIT else Assignment(*divmod(action, objects))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled, random_unit
+from mrtask.planning.tree import NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -17,7 +18,6 @@ I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 U8 = NDArray[np.uint64]
 
-NONE = -1
 WAIT = -1
 UNKNOWN, PRESENT, ABSENT = 0, 1, 2
 SMALLEST_PROB = 1e-12
@@ -60,23 +60,6 @@ class Scratch(NamedTuple):
     nearest_s: F8  # [C]
     order: I4  # [C]
     mean_s: F8  # [O]
-
-
-class PaperTree(NamedTuple):
-    """Nodes and edges as in `pouct_kernel.Tree`; ``next_try`` is the first action a node has not tried."""
-
-    size: I8
-    visits: I4
-    robot: I4
-    next_try: I4
-    first_edge: I4
-    key: I8
-    sibling: I4
-    action: I4
-    next_edge: I4
-    first_child: I4
-    tries: I4
-    total_s: F8
 
 
 @compiled
@@ -197,13 +180,13 @@ def _allowed(model: PaperModel, belief: PaperBelief, r: int, action: int) -> boo
 
 
 @compiled
-def _next_action(model: PaperModel, belief: PaperBelief, tree: PaperTree, node: int) -> int:
+def _next_action(model: PaperModel, belief: PaperBelief, tree: Tree, node: int) -> int:
     """The next action a node has not tried, or C * O once it has tried all."""
     actions = model.prob.size
-    action = tree.next_try[node]
+    action = tree.tried[node]
     while action < actions and not _allowed(model, belief, tree.robot[node], action):
         action += 1
-    tree.next_try[node] = action + 1
+    tree.tried[node] = action + 1
     return action
 
 
@@ -263,50 +246,25 @@ def lower_bound_s(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> f
 
 
 @compiled
-def new_node(belief: PaperBelief, tree: PaperTree, key: int) -> int:
+def decision_node(belief: PaperBelief, tree: Tree, key: int) -> int:
     """Adds a node for the lowest undecided robot."""
     chosen = NONE
     for r in range(belief.place.size):
         if belief.undecided[r]:
             chosen = r
             break
-    node = tree.size[0]
-    tree.size[0] = node + 1
-    tree.visits[node] = 0
-    tree.robot[node] = chosen
-    tree.next_try[node] = 0
-    tree.first_edge[node] = NONE
-    tree.key[node] = key
-    tree.sibling[node] = NONE
-    return node
+    return add_node(tree, chosen, key)
 
 
 @compiled
-def _select(model: PaperModel, belief: PaperBelief, tree: PaperTree, node: int, exploration_s: float) -> int:
+def _select(model: PaperModel, belief: PaperBelief, tree: Tree, node: int, exploration: float) -> int:
     """The edge to follow: an action not tried yet, else the best by UCB1; NONE if the robot can do nothing."""
     actions = model.prob.size
-    if tree.next_try[node] <= actions and tree.size[1] < tree.action.size:
+    if tree.tried[node] <= actions and tree.size[1] < tree.action.size:
         action = _next_action(model, belief, tree, node)
         if action < actions or _may_wait(belief, tree.robot[node]) or tree.first_edge[node] == NONE:
-            edge = tree.size[1]
-            tree.size[1] = edge + 1
-            tree.action[edge] = action if action < actions else WAIT
-            tree.next_edge[edge] = tree.first_edge[node]
-            tree.first_child[edge] = NONE
-            tree.tries[edge] = 0
-            tree.total_s[edge] = 0.0
-            tree.first_edge[node] = edge
-            return edge
-    log_visits = np.log(tree.visits[node] + 1.0)
-    best, best_bound = NONE, np.inf
-    edge = tree.first_edge[node]
-    while edge != NONE:
-        tries = tree.tries[edge]
-        bound = tree.total_s[edge] / tries - exploration_s * np.sqrt(log_visits / tries)
-        if bound < best_bound:
-            best, best_bound = edge, bound
-        edge = tree.next_edge[edge]
-    return best
+            return add_edge(tree, node, action if action < actions else WAIT)
+    return least_bound(tree, node, exploration)
 
 
 @compiled
@@ -322,30 +280,26 @@ def run_samples(
     model: PaperModel,
     root: PaperBelief,
     belief: PaperBelief,
-    tree: PaperTree,
+    tree: Tree,
     exploration: float,
     rng: U8,
     samples: int,
-    extremes: F8,
-    path: I4,
     scratch: Scratch,
 ) -> None:
-    """Runs samples from node 0, which must exist.
+    """Runs samples from node 0, which must exist; ``belief`` is overwritten.
 
-    ``extremes`` [2] keeps the least and the largest cost drawn so far, inf and -inf at first; ``path`` is scratch for
-    the edges of one sample. A full tree grows no further: samples then leave it at its fringe.
+    A full tree grows no further: samples then leave it at its fringe.
     """
     for _ in range(samples):
         copy_belief(root, belief)
-        range_s = max(extremes[1] - extremes[0], 0.0)
         node, depth, rest_s = 0, 0, 0.0
         while True:
-            edge = _select(model, belief, tree, node, exploration * range_s)
+            edge = _select(model, belief, tree, node, exploration)
             tree.visits[node] += 1
             if edge == NONE:
                 rest_s = lower_bound_s(model, belief, scratch)
                 break
-            path[depth] = edge
+            tree.path[depth] = edge
             depth += 1
             act(model, belief, tree.robot[node], tree.action[edge])
             key = NONE
@@ -360,23 +314,11 @@ def run_samples(
                     if belief.obj[r] != NONE:
                         key = 3 * key + belief.known[belief.place[r], belief.obj[r]]
                 _mark_undecided(belief)
-            child, last = tree.first_child[edge], NONE
-            while child != NONE and tree.key[child] != key:
-                last = child
-                child = tree.sibling[child]
-            if child == NONE or depth == path.size:
+            child = child_of(tree, edge, key)
+            if child == NONE or depth == tree.path.size:
                 if child == NONE and tree.size[0] < tree.visits.size:
-                    child = new_node(belief, tree, key)
-                    if last == NONE:
-                        tree.first_child[edge] = child
-                    else:
-                        tree.sibling[last] = child
+                    attach(tree, edge, decision_node(belief, tree, key))
                 rest_s = lower_bound_s(model, belief, scratch)
                 break
             node = child
-        cost_s = belief.clock[0] + rest_s
-        extremes[0] = min(extremes[0], cost_s)
-        extremes[1] = max(extremes[1], cost_s)
-        for step in range(depth):
-            tree.tries[path[step]] += 1
-            tree.total_s[path[step]] += cost_s
+        back_up(tree, depth, belief.clock[0] + rest_s)

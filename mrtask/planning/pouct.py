@@ -18,7 +18,7 @@ from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_we
 from mrtask.planning.greedy_kernel import Greedy
 from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem
 from mrtask.planning.team import assignment_begun, blank_world, root_world, team_model
-from mrtask.planning.team_kernel import Model, World, act
+from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.tree import (
     NONE,
     SearchOptions,
@@ -92,7 +92,7 @@ class Pouct:
             samples=done,
             tree_nodes=int(tree.size[0]),
             value_s=mean_cost_s(tree, best),
-            root=root_statistics(tree),
+            root=root_statistics(tree, lambda action: _assignment(model, root, int(tree.robot[0]), action)),
         )
         return Plan(_joint_action(model, root, tree, greedy), info)
 
@@ -101,6 +101,14 @@ class Known(Pouct):
     """The same search with the contents known: what uncertainty costs is the difference to it."""
 
     knows_contents = True
+
+
+def _assignment(model: Model, root: World, robot: int, action: int) -> Assignment:
+    """What an action of the tree means for a robot at the root."""
+    containers = len(root.searched)
+    if action < containers:
+        return Assignment(action)
+    return Assignment(nearest_holding(model, root, robot, action - containers), action - containers)
 
 
 def _most_visited(tree: Tree, node: int) -> int:

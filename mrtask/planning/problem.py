@@ -107,14 +107,15 @@ class PlanningProblem:
 class PlanInfo:
     """Why a plan was chosen. Search planners fill all of it, rules only ``planning_s``.
 
-    ``root`` lists the first decided robot's candidate actions: ``(container, visits, mean cost in s, spread in s)``.
+    ``root`` lists the first decided robot's candidate actions, the most visited first: ``(assignment, visits, mean cost
+    in s, spread in s)``.
     """
 
     planning_s: float = 0.0
     samples: int = 0
     tree_nodes: int = 0
     value_s: float = float("nan")
-    root: tuple[tuple[int, int, float, float], ...] = ()
+    root: tuple[tuple[Assignment, int, float, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled
+from mrtask.planning.problem import Assignment
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -98,7 +99,9 @@ def empty_tree(options: SearchOptions) -> Tree:
     )
 
 
-def run_search(options: SearchOptions, run: Callable[[int], None], is_settled: Callable[[int], bool]) -> int:
+def run_search(
+    options: SearchOptions, run: Callable[[int], None], is_settled: Callable[[int], bool] = lambda _: False
+) -> int:
     """Calls ``run(count)`` until the samples or the time are spent or ``is_settled(samples left)``; the samples run."""
     began_s, done = perf_counter(), 0
     while done < options.samples and not is_settled(options.samples - done):
@@ -210,11 +213,13 @@ def mean_cost_s(tree: Tree, edge: int) -> float:
     return float(tree.total_s[edge] / tree.tries[edge])
 
 
-def root_statistics(tree: Tree) -> tuple[tuple[int, int, float, float], ...]:
-    """(action, visits, mean cost, its spread) of the root's edges, the most visited first: see `PlanInfo.root`."""
+def root_statistics(
+    tree: Tree, assignment: Callable[[int], Assignment]
+) -> tuple[tuple[Assignment, int, float, float], ...]:
+    """`PlanInfo.root`; ``assignment`` says what an action means."""
     rows = []
     for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.tries[edge]):
         mean_s = mean_cost_s(tree, edge)
         variance = max(float(tree.squares[edge] / tree.tries[edge]) - mean_s**2, 0.0)
-        rows.append((int(tree.action[edge]), int(tree.tries[edge]), mean_s, math.sqrt(variance)))
+        rows.append((assignment(int(tree.action[edge])), int(tree.tries[edge]), mean_s, math.sqrt(variance)))
     return tuple(rows)

@@ -76,7 +76,7 @@ class NaivePaperSearch:
         self.exploration, self.limit, self.random = exploration, limit, SplitMix64(seed)
         self.start = self._start(problem)
         self.nodes = self.edges = 0
-        self.costs_s = []
+        self.count, self.mean_s, self.squares, self.spread_s = 0, 0.0, 0.0, 0.0
         self.root = self._new_node(self.start, None)
 
     def _ways(self, z, seen=()):
@@ -220,12 +220,20 @@ class NaivePaperSearch:
 
     def run(self, samples):
         for _ in range(samples):
-            range_s = max(self.costs_s) - min(self.costs_s) if self.costs_s else 0.0
-            path, cost_s = self._sample(self.exploration * range_s)
-            self.costs_s.append(cost_s)
+            spread_s = self.spread_s if self.count > 1 else 1.0
+            path, cost_s = self._sample(self.exploration * spread_s)
+            self._count(cost_s)
             for edge in path:
                 edge.tries += 1
                 edge.total_s += cost_s
+
+    def _count(self, cost_s):
+        """Welford's running moments; ``spread_s`` is the largest standard deviation so far."""
+        self.count += 1
+        before = cost_s - self.mean_s
+        self.mean_s += before / self.count
+        self.squares += before * (cost_s - self.mean_s)
+        self.spread_s = max(self.spread_s, math.sqrt(self.squares / self.count))
 
     def _sample(self, exploration_s):
         belief, node, path = deepcopy(self.start), self.root, []

@@ -22,7 +22,7 @@ class Node:
 
 @dataclass
 class Edge:
-    action: object  # container, WAIT or (container, object): see `NaivePouct.label`
+    action: object  # container, WAIT or (container, object): see `NaivePouct.resolve`
     costs: list = field(default_factory=list)
     children: dict = field(default_factory=dict)
 
@@ -205,8 +205,3 @@ class NaivePouct(ExactSolver):
             if self.random.unit() * exists < self.prob[container][o]:
                 held.add(o)
         yield 1.0, frozenset(held)
-
-
-def label(action, containers):
-    """A naive action as the kernel numbers it."""
-    return containers + action[1] if isinstance(action, tuple) else action

@@ -9,6 +9,7 @@ from mrtask.planning import paper
 from mrtask.planning import paper_kernel as kernel
 from mrtask.planning.compiled import random_unit
 from mrtask.planning.problem import RobotStatus
+from mrtask.planning.tree import SearchOptions, edges_of, empty_tree
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
 from tests.planning.naive_random import SplitMix64
 from tests.planning.problems import random_problem, tiny_problem
@@ -113,7 +114,7 @@ def test_random_plays_are_equal_step_by_step(problem):
 def assert_equal_trees(tree, index, node, objects):
     """The kernel's tree from a node on and the twin's: visits, tries, totals, children, and what keys stand for."""
     assert (tree.robot[index], tree.visits[index]) == (node.robot, node.visits)
-    edges = paper._edges(tree, index)[::-1]
+    edges = edges_of(tree, index)[::-1]
     assert len(edges) == len(node.edges)
     for edge, twin in zip(edges, node.edges, strict=True):
         assert tree.action[edge] == (WAIT if twin.action == WAIT else twin.action[0] * objects + twin.action[1])
@@ -142,14 +143,10 @@ def test_searches_grow_the_same_tree(problem, samples, limit):
     twin = NaivePaperSearch(problem, exploration=0.7, limit=limit, seed=5)
     twin.run(samples)
     model, root, belief = paper.prepare(problem)
-    tree = paper._empty_tree(limit)
-    kernel.new_node(root, tree, kernel.NONE)
-    extremes, path, rng = (
-        np.array([np.inf, -np.inf]),
-        np.empty(paper.DEEPEST_PATH, dtype=np.int32),
-        np.array([5], dtype=np.uint64),
-    )
-    kernel.run_samples(model, root, belief, tree, 0.7, rng, samples, extremes, path, scratch_of(model))
+    tree = empty_tree(SearchOptions(samples=samples, max_nodes=limit))
+    kernel.decision_node(root, tree, kernel.NONE)
+    rng = np.array([5], dtype=np.uint64)
+    kernel.run_samples(model, root, belief, tree, 0.7, rng, samples, scratch_of(model))
     assert list(tree.size) == [twin.nodes, twin.edges]
-    assert list(extremes) == [min(twin.costs_s), max(twin.costs_s)]
+    assert list(tree.moments) == [twin.count, twin.mean_s, twin.squares, twin.spread_s]
     assert_equal_trees(tree, 0, twin.root, problem.presence_prob.shape[1])

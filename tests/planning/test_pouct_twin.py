@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from mrtask.planning import pouct
-from mrtask.planning.compiled import random_unit
 from mrtask.planning.greedy import Greedy
 from mrtask.planning.pouct import Pouct, PouctOptions
-from mrtask.planning.problem import ANY_SAFE, WAIT
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment
 from mrtask.planning.team import team_model
 from mrtask.tasks.templates import TEMPLATES
-from tests.planning.naive_pouct import NaivePouct, label
-from tests.planning.naive_random import SplitMix64
+from tests.planning.naive_pouct import NaivePouct
 from tests.planning.problems import random_problem
 
 CASES = [
@@ -22,26 +20,23 @@ CASES = [
 ]
 
 
-def test_random_numbers_equal_the_twins():
-    rng, twin = np.array([123456789], dtype=np.uint64), SplitMix64(123456789)
-    for _ in range(1000):
-        assert random_unit(rng) == twin.unit()
-
-
 def compare(problem, seed, options, monkeypatch):
     monkeypatch.setattr(pouct, "_is_settled", lambda *arguments: False)
     plan = Pouct(options).plan(problem, seed)
     naive = NaivePouct(problem, team_model(problem).prob, seed, options)
     tree = naive.run(options.samples)
-    containers = len(problem.searched)
-    seen = {action: (visits, mean_s) for action, visits, mean_s, _ in plan.info.root}
-    expected = {
-        label(edge.action, containers): (len(edge.costs), pytest.approx(np.mean(edge.costs), rel=1e-9))
-        for edge in tree.edges
-    }
+    seen = {assignment: (visits, mean_s) for assignment, visits, mean_s, _ in plan.info.root}
+    expected = {}
+    for edge in tree.edges:
+        action = naive.resolve(naive.root, tree.robot, edge.action)
+        expected[as_assignment(action)] = (len(edge.costs), pytest.approx(np.mean(edge.costs), rel=1e-9))
     assert seen == expected
     assert plan.info.tree_nodes == naive.nodes
     return naive
+
+
+def as_assignment(action):
+    return Assignment(*action) if isinstance(action, tuple) else Assignment(action)
 
 
 @pytest.mark.parametrize(("template", "robots", "containers", "seconds"), CASES)
