@@ -45,8 +45,8 @@ lint: $(STAMP)  ## formatting, style, types and layers
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-bench: $(STAMP)  ## speed and memory of the planners
-	@for script in benchmarks/*.py; do $(BIN)/python $$script $(ARGS) || exit 1; done
+bench: $(STAMP)  ## speed and memory of planners, maps and experiments (about ten minutes)
+	@for name in planners maps scale; do $(BIN)/python benchmarks/bench_$$name.py || exit 1; done
 
 dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http://127.0.0.1:5000)
 	@MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --workers 1 \

@@ -30,6 +30,8 @@ from pipeline.tracking import RegisteredModel
 from pipeline.train import model_facts
 from pipeline.version import code_version
 
+RUN_ID = "mlflow_run_id"
+"""File in the output folder that names the MLflow run under way, or the last one."""
 PILOT_S = 20.0
 
 
@@ -79,7 +81,10 @@ def evaluate(config: Config, pool: Pool, home_set: HomeSet, store: tracking.Trac
         "sweep": sweep.cell_text(),
     }
     name = sweep.short_cell_text() or f"evaluate {config.experiment}"
+    if (earlier := folder.read(RUN_ID)) is not None:
+        tracking.end_abandoned(store, earlier.decode())
     with tracking.run(store, name, params, tags, sweep.parent_run_id()) as tracked:
+        folder.write(RUN_ID, tracked.run_id.encode())
         reach = _map_homes(evaluation.context, pool)
         _run_episodes(config, pool, evaluation, missing, writer)
         manifest = _manifest(config, evaluation, reach, pool) | {

@@ -177,6 +177,19 @@ def run(
         mlflow.end_run(status)
 
 
+def end_abandoned(tracking: Tracking, run_id: str) -> None:
+    """Mark a run KILLED whose driver is gone without having ended it; for whoever continues its work."""
+    client = mlflow.MlflowClient(tracking.uri)
+    try:
+        status = client.get_run(run_id).info.status
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
+        return  # recorded in another store
+    if status == "RUNNING":
+        client.set_terminated(run_id, "KILLED")
+
+
 def log_metrics(run: Run, metrics: Mapping[str, float], step: int | None = None) -> None:
     """Log numbers, those of one epoch under its ``step``; values that are not finite are left out."""
     finite = {name: float(value) for name, value in metrics.items() if np.isfinite(value)}

@@ -6,6 +6,14 @@ with the greedy policy (least travel / probability of advancing); containers ent
 progressive widening; robots under way may be redirected; and the most visited action is taken.
 
 `known` is the same search with the contents given.
+
+Tried on 1800 trials in 275 ProcTHOR homes that no reported figure uses, and left out (mean cost against the choice made
+here, standard error 0.5 %): half the exploration 1.2 % worse, twice the exploration equal; nodes twice as wide 0.3 to
+0.7 % worse; spreads per edge (UCB1-tuned) instead of the root's equal; the least mean among well visited edges instead
+of the most visited no better. Rollouts that weigh a container together with its best neighbour are, as a policy by
+themselves, better for one robot and worse for three; within the search they gained nothing at seven times the time.
+A tree kept for the next decision would hold 5 to 30 % of its samples, while ten times the samples (1e4 to 1e5)
+lower costs by 0.2 %; for the same reason one decision is not spread over cores.
 """
 
 from dataclasses import dataclass

@@ -8,11 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+import mlflow
 import pandas as pd
 import psutil
 import pytest
 
-from pipeline import results
+from pipeline import results, tracking
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import episodes
 
@@ -136,6 +137,9 @@ def test_a_driver_stopped_in_the_middle_goes_on(
     resumed = cli("evaluate", *common, f"output_dir=outputs/{name}", cwd=workspace.path)
     assert resumed.code == 0, resumed.err
     assert cli("evaluate", *common, "output_dir=outputs/undisturbed", cwd=workspace.path).code == 0
+    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = 'outputs/{name}'")
+    assert sorted(run.info.status for run in runs) == ["FINISHED", "KILLED"]
     rows = pd.read_parquet(target / "episodes")
     pd.testing.assert_frame_equal(episodes(target), episodes(workspace.path / "outputs" / "undisturbed"))
     finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
