@@ -8,7 +8,9 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions
+from mrtask.planning.paper import PaperOptions
 from mrtask.planning.planners import PLANNERS
+from mrtask.planning.pouct import PouctOptions
 from pipeline import train
 from pipeline.app import CONF_DIR
 from pipeline.config import Config, Model, UserError, content_hash, load
@@ -40,6 +42,11 @@ def test_defaults_are_the_papers_experiment() -> None:
     assert len(evaluation.size_classes) * len(evaluation.robots) * evaluation.trials_per_cell == 900
     assert set(evaluation.planners) == set(PLANNERS)
     assert config.output_dir == str(Path("outputs/paper").absolute())
+
+
+@pytest.mark.parametrize(("name", "options"), [("pouct", PouctOptions()), ("pouct_paper", PaperOptions())])
+def test_the_configuration_shows_every_option_of_the_searches_with_its_default(name: str, options: object) -> None:
+    assert make().planner[name] == vars(options)
 
 
 def test_relative_paths_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
