@@ -24,6 +24,7 @@ class Finalized:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_dropped_interrupt_is_raised_at_the_next_check(ray_session: None) -> None:
+    before = signal.getsignal(signal.SIGINT)
     with interrupt.remembered():
         interrupt.check()
         Finalized()
@@ -34,7 +35,7 @@ def test_a_dropped_interrupt_is_raised_at_the_next_check(ray_session: None) -> N
             list(pool.run(tasks.square, range(3)))
     with interrupt.remembered():
         interrupt.check()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_interrupt_while_libraries_are_imported_is_one_line() -> None:
