@@ -138,7 +138,7 @@ def test_a_driver_stopped_in_the_middle_goes_on(
     assert resumed.code == 0, resumed.err
     assert cli("evaluate", *common, "output_dir=outputs/undisturbed", cwd=workspace.path).code == 0
     store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
-    runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = 'outputs/{name}'")
+    runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
     assert sorted(run.info.status for run in runs) == ["FINISHED", "KILLED"]
     rows = pd.read_parquet(target / "episodes")
     pd.testing.assert_frame_equal(episodes(target), episodes(workspace.path / "outputs" / "undisturbed"))
