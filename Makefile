@@ -53,4 +53,4 @@ dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http:
 		--backend-store-uri sqlite:///$(CURDIR)/outputs/mlflow.db $(ARGS)
 
 clean-cache:  ## remove cached maps, embeddings and compiled kernels
-	@$(BIN)/python -m pipeline.cache
+	@$(BIN)/python -m pipeline.store.cache

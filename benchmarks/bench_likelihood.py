@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mrtask.homes.generator import generate_house
+from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import parse_house, read_houses
 from mrtask.homes.split import split_homes

@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from skimage.graph import MCP_Geometric
 
-from mrtask.homes.generator import generate_house
+from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import parse_house, read_houses
 from mrtask.maps.distance_fields import distance_fields

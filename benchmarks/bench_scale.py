@@ -23,16 +23,16 @@ import pandas as pd
 import psutil
 from ray.cluster_utils import Cluster as SimulatedCluster
 
-from mrtask.homes.generator import generate_house
+from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import parse_house
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
-from pipeline.cache import default_cache_dir
-from pipeline.config import Cluster
-from pipeline.episodes import Context, EpisodeKey, MapOptions, run_one, warm
-from pipeline.pool import Pool
+from pipeline.backends.pool import Pool
+from pipeline.base.config import Cluster
+from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, run_one, warm
+from pipeline.store.cache import default_cache_dir
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12

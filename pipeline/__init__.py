@@ -1,15 +1,15 @@
-"""The experiment's Hydra stages; Ray is known to ``pipeline.pool`` and MLflow to ``pipeline.tracking`` only.
+"""The experiment's Hydra stages, and below them the rooms that they share; only ``backends`` knows Ray and MLflow.
 
-Importing it points numba's cache to the user's, by the sources' hash: numba itself does not notice when a function
-that a cached kernel calls was edited in another file.
+Importing this package sets numba's cache folder to one named after the sources' hash, since numba does not notice when
+a function that a cached kernel calls was edited in another file.
 """
 
 import os
 import sys
 
-from pipeline import interrupt
-from pipeline.cache import default_cache_dir
-from pipeline.version import source_hash
+from pipeline.base import interrupt
+from pipeline.store.cache import default_cache_dir
+from pipeline.store.version import source_hash
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / source_hash("mrtask")))
 

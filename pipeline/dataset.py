@@ -13,12 +13,13 @@ import pandas as pd
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import build_dataset, is_current, write_dataset
 from mrtask.likelihood.rows import label_rows, vocabulary
-from pipeline import console, homes
-from pipeline.app import main
-from pipeline.config import Config, content_hash
+from pipeline import homes
+from pipeline.app.main import main
+from pipeline.backends.pool import Pool
+from pipeline.base import console
+from pipeline.base.config import Config, content_hash
 from pipeline.homes import HomeSet
-from pipeline.pool import Pool
-from pipeline.version import code_version, source_hash
+from pipeline.store.version import code_version, source_hash
 
 HOMES_PER_TASK = 25
 

@@ -16,19 +16,23 @@ from typing import Any
 import psutil
 
 from mrtask.planning.planners import PLANNERS
-from pipeline import cache, console, homes, sweep, tracking
-from pipeline.app import main
-from pipeline.config import Config, UserError
-from pipeline.episodes import Context, EpisodeKey, failed_row, map_home, run_one, warm
-from pipeline.evaluation import EPISODES, IDENTITY, MANIFEST, Evaluation, check, prepare
+from pipeline import homes
+from pipeline.app import sweep
+from pipeline.app.main import main
+from pipeline.backends import tracking
+from pipeline.backends.pool import Outcome, Pool
+from pipeline.backends.tracking import RegisteredModel
+from pipeline.base import console
+from pipeline.base.config import Config, UserError
+from pipeline.episodes.plan import EPISODES, IDENTITY, MANIFEST, Evaluation, check, prepare
+from pipeline.episodes.tally import Tally
+from pipeline.episodes.worker import Context, EpisodeKey, failed_row, map_home, run_one, warm
 from pipeline.homes import HomeSet
-from pipeline.pool import Outcome, Pool
-from pipeline.results import EpisodeWriter, differences, read_table
-from pipeline.storage import Folder, locked
-from pipeline.tally import Tally
-from pipeline.tracking import RegisteredModel
+from pipeline.store import cache
+from pipeline.store.folder import Folder, locked
+from pipeline.store.rows import EpisodeWriter, differences, read_table
+from pipeline.store.version import code_version
 from pipeline.train import model_facts
-from pipeline.version import code_version
 
 RUN_ID = "mlflow_run_id"
 """File in the output folder that names the MLflow run under way, or the last one."""

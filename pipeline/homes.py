@@ -17,19 +17,20 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from mrtask.analysis.floor_plans import draw_gallery, draw_home
 from mrtask.execution.trials import key_seed
 from mrtask.homes.download import DownloadError, fetch_procthor10k
-from mrtask.homes.generator import generate_house, write_houses
+from mrtask.homes.generator.house import generate_house, write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.homes.split import split_homes
 from mrtask.maps.cache import cached_map
-from mrtask.maps.draw import draw_gallery, draw_home
 from mrtask.maps.home_map import HomeMap
 from mrtask.maps.ros_map import read_map_worlds
-from pipeline import artifacts, console
-from pipeline.app import main
-from pipeline.config import (
+from pipeline.app.main import main
+from pipeline.backends.pool import Pool
+from pipeline.base import console
+from pipeline.base.config import (
     Config,
     GeneratedHomes,
     Procthor10kHomes,
@@ -38,9 +39,9 @@ from pipeline.config import (
     UserError,
     content_hash,
 )
-from pipeline.pool import Pool
-from pipeline.storage import Folder
-from pipeline.version import code_version, source_hash
+from pipeline.store import artifacts
+from pipeline.store.folder import Folder
+from pipeline.store.version import code_version, source_hash
 
 SPLITS = ("train", "validation", "test")
 GENERATED_FILE = "generated.jsonl.gz"

@@ -14,17 +14,18 @@ from pathlib import Path
 import pandas as pd
 from omegaconf import OmegaConf
 
+from mrtask.analysis.floor_plans import draw_gallery
+from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
 from mrtask.likelihood.training import score, train_model
-from mrtask.maps.draw import draw_gallery
 from mrtask.maps.home_map import build_map
-from mrtask.maps.realism import DescribedHome, compare_homes, describe_home
-from pipeline import console, dataset, homes, interrupt
-from pipeline.app import CONF_DIR, main
-from pipeline.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
-from pipeline.pool import Pool
-from pipeline.storage import Folder
+from pipeline import dataset, homes
+from pipeline.app.main import CONF_DIR, main
+from pipeline.backends.pool import Pool
+from pipeline.base import console, interrupt
+from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
+from pipeline.store.folder import Folder
 from pipeline.train import training_options
 
 FOLDER = "realism"

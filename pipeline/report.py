@@ -15,15 +15,17 @@ import pandas as pd
 from mrtask.analysis.curves import BUDGET
 from mrtask.analysis.report import render_report, trials_to_draw
 from mrtask.homes.home import Home
-from pipeline import console, homes, tracking
-from pipeline.app import main
-from pipeline.config import Config, UserError, content_hash
-from pipeline.evaluation import EPISODES, MANIFEST
-from pipeline.pool import Pool
-from pipeline.results import TRACE, read_episodes, read_traces
-from pipeline.storage import Folder, locked
-from pipeline.sweep import CELLS
-from pipeline.version import source_hash
+from pipeline import homes
+from pipeline.app.main import main
+from pipeline.app.sweep import CELLS
+from pipeline.backends import tracking
+from pipeline.backends.pool import Pool
+from pipeline.base import console
+from pipeline.base.config import Config, UserError, content_hash
+from pipeline.episodes.plan import EPISODES, MANIFEST
+from pipeline.store.folder import Folder, locked
+from pipeline.store.rows import TRACE, read_episodes, read_traces
+from pipeline.store.version import source_hash
 
 REPORT = "report"
 STAGES = "stages.json"

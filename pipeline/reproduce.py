@@ -8,12 +8,14 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from pipeline import console, dataset, evaluate, homes, report, tracking, train
-from pipeline.app import main
-from pipeline.config import Config
-from pipeline.evaluation import check
-from pipeline.pool import Pool
-from pipeline.storage import Folder, locked
+from pipeline import dataset, evaluate, homes, report, train
+from pipeline.app.main import main
+from pipeline.backends import tracking
+from pipeline.backends.pool import Pool
+from pipeline.base import console
+from pipeline.base.config import Config
+from pipeline.episodes.plan import check
+from pipeline.store.folder import Folder, locked
 
 Result = TypeVar("Result")
 

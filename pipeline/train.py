@@ -13,12 +13,15 @@ from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.network import EpochMetrics, NetworkOptions
 from mrtask.likelihood.training import TrainedModel, TrainingOptions, score, train_model
-from pipeline import artifacts, console, dataset, interrupt, tracking
-from pipeline.app import main
-from pipeline.config import Config, content_hash
-from pipeline.pool import Pool
-from pipeline.tracking import ChampionError
-from pipeline.version import code_version, source_hash
+from pipeline import dataset
+from pipeline.app.main import main
+from pipeline.backends import tracking
+from pipeline.backends.pool import Pool
+from pipeline.backends.tracking import ChampionError
+from pipeline.base import console, interrupt
+from pipeline.base.config import Config, content_hash
+from pipeline.store import artifacts
+from pipeline.store.version import code_version, source_hash
 
 SHOWN_METRICS = ("log_loss", "roc_auc")
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mrtask.homes.catalogue import Asset, AssetDatabase, Size
-from mrtask.homes.generator import generate_house
+from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import parse_house
 from mrtask.maps.home_map import HomeMap, build_map

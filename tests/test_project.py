@@ -64,8 +64,8 @@ def test_layers_and_tools_are_where_they_belong() -> None:
     [
         ("mrtask/homes: import mrtask.planning", "the library's layers"),
         ("mrtask/maps: import mlflow", "the library knows nothing"),
-        ("pipeline: import ray", "only pipeline.pool knows ray"),
-        ("pipeline: import mlflow", "only pipeline.tracking"),
+        ("pipeline: import ray", "only pipeline.backends.pool knows ray"),
+        ("pipeline: import mlflow", "only pipeline.backends.tracking"),
     ],
 )
 def test_a_forbidden_import_is_noticed(statement: str, broken: str, tmp_path: Path) -> None:

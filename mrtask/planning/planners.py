@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
+from mrtask.planning.myopic import learned_myopic, nonlearned_myopic
 from mrtask.planning.paper import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner
-from mrtask.planning.rules import learned_myopic, nonlearned_myopic
 
 
 def pouct(**options: object) -> Planner:

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from mrtask.homes.generator import generate_house
+from mrtask.homes.generator.house import generate_house
 from mrtask.homes.procthor import HouseError, parse_house
 from mrtask.maps.home_map import build_map
 

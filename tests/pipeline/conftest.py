@@ -39,8 +39,8 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
     """Ray with two workers, started once; pools find it running and leave it so."""
     import ray
 
-    from pipeline import pool
-    from pipeline.config import Cluster
+    from pipeline.backends import pool
+    from pipeline.base.config import Cluster
 
     pool._start(Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3))
     yield

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline import app, sweep
+from pipeline.app import main as app
+from pipeline.app import sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = (

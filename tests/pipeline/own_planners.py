@@ -5,8 +5,8 @@ import signal
 import time
 from pathlib import Path
 
+from mrtask.planning.myopic import nonlearned_myopic
 from mrtask.planning.problem import Plan, PlanningProblem
-from mrtask.planning.rules import nonlearned_myopic
 
 
 class Slow:

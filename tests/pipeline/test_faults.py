@@ -13,7 +13,8 @@ import pandas as pd
 import psutil
 import pytest
 
-from pipeline import results, tracking
+from pipeline.backends import tracking
+from pipeline.store import rows as results
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import episodes
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mrtask.homes.generator import generate_house
-from mrtask.maps.realism import KINDS, NUMBERS
+from mrtask.analysis.realism import KINDS, NUMBERS
+from mrtask.homes.generator.house import generate_house
 from tests.pipeline.harness import Cli
 
 

@@ -16,9 +16,9 @@ import pytest
 import s3fs
 from moto.server import ThreadedMotoServer
 
-from pipeline import storage
-from pipeline.config import UserError
-from pipeline.storage import Folder
+from pipeline.base.config import UserError
+from pipeline.store import folder as storage
+from pipeline.store.folder import Folder
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import TIMINGS, episodes
 

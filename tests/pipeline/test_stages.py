@@ -15,9 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from mrtask.homes.download import DownloadError
-from mrtask.homes.generator import generate_house
-from pipeline import artifacts, homes, tracking
-from pipeline.results import SCHEMA
+from mrtask.homes.generator.house import generate_house
+from pipeline import homes
+from pipeline.backends import tracking
+from pipeline.store import artifacts
+from pipeline.store.rows import SCHEMA
 from tests.pipeline.harness import ROOT, Cli, Workspace
 
 TIMINGS = ["planning_s", "wall_s", "peak_memory_mb"]

@@ -1,0 +1,1 @@
+"""Procedural homes after ProcTHOR's method: floor plan, furnishing, house."""

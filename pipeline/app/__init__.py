@@ -1,0 +1,1 @@
+"""Running a stage: the command line's configuration, one way to report mistakes, sweeps."""

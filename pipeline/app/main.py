@@ -1,0 +1,113 @@
+"""Makes a stage module runnable: ``python -m pipeline.<stage>`` as a Hydra app with one way to report mistakes.
+
+A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2; an interrupt
+in 130; anything else is a bug and keeps its traceback.
+"""
+
+import atexit
+import importlib
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrtask.homes.procthor import HouseError
+from mrtask.likelihood.dataset import DatasetError
+from mrtask.likelihood.model import ModelError
+from mrtask.maps.ros_map import MapError
+from mrtask.tasks.formula import FormulaError
+from pipeline.app import sweep
+from pipeline.backends.pool import Pool
+from pipeline.base import config as schema
+from pipeline.base import interrupt
+from pipeline.base.config import Cluster, UserError
+from pipeline.store.cache import default_cache_dir
+
+CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
+USER_ERROR_EXIT = 2
+USER_ERRORS = (UserError, HouseError, MapError, FormulaError, DatasetError, ModelError)
+
+
+def main(module_name: str) -> None:
+    """Runs the module's ``run(config, workers)`` with the configuration from the command line."""
+    _prepare_process(module_name)
+    try:
+        with interrupt.remembered():
+            hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
+    except (HydraException, OmegaConfBaseException) as error:
+        sys.exit(_fail(error))
+    except KeyboardInterrupt as stop:
+        sweep.interrupted(stop)
+        print(interrupt.MESSAGE, file=sys.stderr)
+        sys.exit(interrupt.INTERRUPT_EXIT)
+
+
+class _Workers:
+    """The pool of the cluster in use; the cells of a sweep share it, and it ends with the process."""
+
+    def __init__(self) -> None:
+        self._cluster: Cluster | None = None
+        self._open = ExitStack()
+        atexit.register(self._open.close)
+
+    def of(self, cluster: Cluster) -> Pool:
+        """The workers of this cluster, in place of those of another."""
+        if cluster != self._cluster:
+            self._open.close()
+            self._cluster, self._pool = cluster, self._open.enter_context(Pool(cluster))
+        return self._pool
+
+
+def _fail(error: Exception) -> int:
+    """Prints a user's mistake; returns the exit code."""
+    print(f"error: {_friendly(str(error))}", file=sys.stderr)
+    return USER_ERROR_EXIT
+
+
+def _task(module_name: str) -> Callable[[DictConfig], None]:
+    workers = _Workers()
+
+    def task(composed: DictConfig) -> None:
+        try:
+            config = schema.load(composed)
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                config = sweep.enter_cell(config, list(HydraConfig.get().overrides.task))
+            # Imported by name also when it is __main__, so that what it sends to workers is found there.
+            importlib.import_module(module_name).run(config, workers.of(config.cluster))
+        except USER_ERRORS as error:
+            if not sweep.note_failure(error):
+                sys.exit(_fail(error))
+
+    return task
+
+
+def _prepare_process(module_name: str) -> None:
+    # Exceptions come to `main` instead of Hydra's own printing.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.argv = ["dry_run=true" if argument == "--dry-run" else argument for argument in sys.argv]
+    if not sys.warnoptions:
+        warnings.filterwarnings("ignore")
+    stage_help = importlib.import_module(module_name).__doc__ if "--help" in sys.argv else ""
+    for name, value in (
+        ("stage_name", module_name),
+        ("stage_help", stage_help),
+        ("default_cache_dir", str(default_cache_dir())),
+    ):
+        OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
+    OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
+
+
+def _friendly(message: str) -> str:
+    """Hydra's refusal of an unknown key, with the keys that exist."""
+    unknown = re.search(r"Could not override '([^']+)'", message)
+    return schema.explain_unknown_key(unknown[1]) if unknown else message.partition("\n\nConfig search path")[0]

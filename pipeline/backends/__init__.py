@@ -1,0 +1,1 @@
+"""The only modules that know Ray (``pool``) and MLflow (``tracking``, ``likelihood_pyfunc``)."""

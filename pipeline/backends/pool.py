@@ -1,0 +1,329 @@
+"""Fan-out of independent items over Ray; no other module imports it.
+
+Items are bounded in flight, outcomes come as they finish, and an item whose worker or node died, or that raised, is
+given to another worker with the same arguments, so what comes out does not depend on luck. What decides (retries, time
+limits, order) is in the driver.
+
+A Ray task takes some milliseconds of CPU time whatever it does, so short items go out in batches that last `BATCH_S`.
+"""
+
+import os
+import signal
+import socket
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from types import FrameType, TracebackType
+from typing import Any, Generic, Literal, TypeVar
+
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+import ray
+from ray.exceptions import RayError, RayTaskError
+
+from pipeline.base import interrupt
+from pipeline.base.config import Cluster, UserError
+
+OBJECT_STORE_BYTES = 512 * 2**20
+"""For the few megabytes that all tasks share; Ray's default takes 30 % of the memory."""
+IN_FLIGHT_PER_SLOT = 2
+"""One runs, one waits: a worker never idles while the driver is busy."""
+BATCH_S = 0.5
+"""How long a batch of short items is to take: much longer than Ray needs for a task, much shorter than a run."""
+LARGEST_BATCH = 100
+PACE_WEIGHT = 0.3
+"""Of the last batch in the moving average of how long an item takes."""
+HEARTBEAT_S = 1.0
+HARD_LIMIT_GRACE_S = 60.0
+"""A task that does not react to its time limit (a hang in compiled code) has its worker killed after this much more."""
+EXCEPTION_RETRIES = 1
+CONNECT_TIMEOUT_S = 5.0
+ADDRESSES = "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an item has no value, after all its retries."""
+
+    kind: Literal["error", "timeout", "crash"]
+    message: str
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Item, Value]):
+    """A finished item, and a value or a failure. ``attempt`` counts from 1."""
+
+    item: Item
+    attempt: int
+    value: Value | None = None
+    failure: Failure | None = None
+
+
+@dataclass(frozen=True)
+class _Try(Generic[Item]):
+    """An item on its way to a worker: how often it was sent, how often it raised, how often its worker died."""
+
+    item: Item
+    attempt: int = 1
+    errors: int = 0
+    crashes: int = 0
+
+    def again(self, *, errors: int = 0, crashes: int = 0) -> "_Try[Item]":
+        return replace(self, attempt=self.attempt + 1, errors=self.errors + errors, crashes=self.crashes + crashes)
+
+
+@dataclass(frozen=True)
+class _Batch(Generic[Item]):
+    """What one Ray task runs, one after the other."""
+
+    tries: list[_Try[Item]]
+    submitted_s: float = field(default_factory=time.monotonic)
+    killed: bool = False
+
+
+class _Pace:
+    """How many items make a batch, by how long they took so far."""
+
+    def __init__(self) -> None:
+        self._mean_s: float | None = None
+
+    def note(self, items: int, seconds: float) -> None:
+        """Takes note of a finished batch."""
+        each_s = seconds / items
+        before_s = each_s if self._mean_s is None else self._mean_s
+        self._mean_s = before_s + PACE_WEIGHT * (each_s - before_s)
+
+    @property
+    def items(self) -> int:
+        """For the next batch."""
+        if self._mean_s is None:
+            return 1
+        return max(1, min(LARGEST_BATCH, int(BATCH_S / max(self._mean_s, BATCH_S / LARGEST_BATCH))))
+
+
+class TaskTimeoutError(Exception):
+    """Raised inside an item's run that has reached its time limit."""
+
+
+class Pool:
+    """Workers of one cluster; Ray starts with the first task and stops when the pool is closed."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
+        self._slots = 0
+        self._alone = True
+        self._owns_ray = False
+
+    def __enter__(self) -> "Pool":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._owns_ray:
+            ray.shutdown()
+
+    def start(self) -> None:
+        """Connects now, so that a cluster that cannot be used is told before there is anything to undo."""
+        _ = self.slots
+
+    @property
+    def slots(self) -> int:
+        """How many items run at once, by cores and memory."""
+        if not self._slots:
+            if not ray.is_initialized():
+                _start(self._cluster)
+                self._owns_ray = True
+            there = _count_slots(self._cluster)
+            self._slots = min(there, self._cluster.cpus or there)
+            # Where the cluster has more than this run may take, a batch that waits would run on what is not its own.
+            self._alone = self._slots == there
+        return self._slots
+
+    def run(
+        self, function: Callable[..., Value], items: Iterable[Item], *shared: Any, timeout_s: float | None = None
+    ) -> Iterator[Outcome[Item, Value] | None]:
+        """Runs ``function(item, *shared)`` for each item and yields outcomes as they finish.
+
+        About once a second without an outcome, None is yielded, so that the caller can do what is due. ``shared``
+        values are sent to each worker once. Leaving the loop early stops the items under way.
+        """
+        most_in_flight = self.slots * (IN_FLIGHT_PER_SLOT if self._alone else 1)
+        memory_bytes = int(self._cluster.memory_per_task_gb * 2**30)
+        call: Any = ray.remote(num_cpus=1, memory=memory_bytes, max_retries=0)(_call)
+        references = [ray.put(value) for value in shared]
+        source, again, pace = iter(items), deque[_Try[Item]](), _Pace()
+        in_flight: dict[Any, _Batch[Item]] = {}
+        try:
+            while True:
+                interrupt.check()
+                while len(in_flight) < most_in_flight and (tries := _next(again, source, pace.items)):
+                    sent = call.remote(function, [one.item for one in tries], references, timeout_s)
+                    in_flight[sent] = _Batch(tries)
+                if not in_flight:
+                    return
+                ready, _ = ray.wait(list(in_flight), timeout=HEARTBEAT_S)
+                if not ready:
+                    _kill_hung(in_flight, timeout_s)
+                    yield None
+                for reference in ready:
+                    settled: Outcome[Item, Value] | _Try[Item]
+                    for settled in self._settle(in_flight.pop(reference), reference, pace):
+                        if isinstance(settled, _Try):
+                            again.append(settled)
+                        else:
+                            yield settled
+        finally:
+            for reference in in_flight:
+                ray.cancel(reference, force=True)
+
+    def _settle(self, batch: _Batch[Item], reference: Any, pace: _Pace) -> Iterator[Outcome[Item, Value] | _Try[Item]]:
+        """The outcomes of a batch, and what of it is to run again."""
+        try:
+            results, seconds = ray.get(reference)
+            pace.note(len(results), seconds)
+        except RayError as error:
+            if len(batch.tries) > 1:  # one of them is to blame: alone, it will show
+                yield from (one.again() for one in batch.tries)
+            else:
+                yield self._after_loss(batch, error)
+            return
+        for one, (value, failure) in zip(batch.tries, results, strict=True):
+            if failure is not None and failure.kind == "error" and one.errors < EXCEPTION_RETRIES:
+                yield one.again(errors=1)
+            else:
+                yield Outcome(one.item, one.attempt, value, failure)
+
+    def _after_loss(self, batch: _Batch[Item], error: RayError) -> Outcome[Item, Value] | _Try[Item]:
+        """What becomes of an item whose worker came back with nothing."""
+        [one] = batch.tries
+        if isinstance(error, RayTaskError):  # what it gave could not be sent back
+            if one.errors < EXCEPTION_RETRIES:
+                return one.again(errors=1)
+            failure = Failure("error", str(error))
+        elif batch.killed:
+            failure = Failure("timeout", "did not react to its time limit; its worker was stopped")
+        elif one.crashes < self._cluster.retries:
+            return one.again(crashes=1)
+        else:
+            failure = Failure("crash", f"its worker died {one.crashes + 1} times: {error}")
+        return Outcome(one.item, one.attempt, None, failure)
+
+
+def _next(again: deque[_Try[Item]], source: Iterator[Item], most: int) -> list[_Try[Item]]:
+    """The next batch; what runs again runs alone. Empty where nothing is left."""
+    if again:
+        return [again.popleft()]
+    return [_Try(item) for item in islice(source, most)]
+
+
+def _kill_hung(in_flight: dict[Any, _Batch[Item]], timeout_s: float | None) -> None:
+    if timeout_s is None:
+        return
+    for reference, batch in in_flight.items():
+        # It may have waited for the one before it on its worker.
+        limit_s = timeout_s * len(batch.tries) * IN_FLIGHT_PER_SLOT + HARD_LIMIT_GRACE_S
+        if not batch.killed and time.monotonic() - batch.submitted_s > limit_s:
+            in_flight[reference] = replace(batch, killed=True)
+            ray.cancel(reference, force=True)
+
+
+def _call(
+    function: Callable[..., Value], items: list[Any], references: list[Any], timeout_s: float | None
+) -> tuple[list[tuple[Value | None, Failure | None]], float]:
+    """Runs in the worker; returns what became of each item, and the seconds all took."""
+    shared = [_fetch(reference) for reference in references]
+    began_s = time.monotonic()
+    results = [_try(function, item, shared, timeout_s) for item in items]
+    return results, time.monotonic() - began_s
+
+
+def _try(
+    function: Callable[..., Value], item: Any, shared: list[Any], timeout_s: float | None
+) -> tuple[Value | None, Failure | None]:
+    """One item. Exceptions come back as text: they may not survive pickling, and the driver needs no more."""
+    try:
+        with _time_limit(timeout_s):
+            return function(item, *shared), None
+    except TaskTimeoutError:
+        return None, Failure("timeout", f"stopped after {timeout_s:g} s")
+    except Exception:
+        return None, Failure("error", traceback.format_exc())
+
+
+_fetched: dict[str, Any] = {}
+
+
+def _fetch(reference: Any) -> Any:
+    """A shared value, unpickled once per worker and kept until another run's values take its place."""
+    key = reference.hex()
+    if key not in _fetched:
+        while len(_fetched) > 8:
+            del _fetched[next(iter(_fetched))]
+        _fetched[key] = ray.get(reference)
+    return _fetched[key]
+
+
+@contextmanager
+def _time_limit(seconds: float | None) -> Iterator[None]:
+    if seconds is None:
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise TaskTimeoutError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _start(cluster: Cluster) -> None:
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+    if cluster.address == "local":
+        cpus = cluster.cpus or len(os.sched_getaffinity(0))
+        options |= {"num_cpus": cpus, "include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES}
+    elif cluster.address != "auto":
+        _check_reachable(cluster.address)
+    try:
+        ray.init(address=cluster.address, **options)
+    except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise UserError(
+            f"cluster.address={cluster.address}: Ray cannot be used there: {said}. {ADDRESSES}; "
+            "where the cluster asks for a token, set RAY_AUTH_MODE=token"
+        ) from error
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself takes minutes to say that nobody answers."""
+    host, _, port = address.removeprefix("ray://").partition("/")[0].rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), CONNECT_TIMEOUT_S).close()
+    except (OSError, ValueError) as error:
+        raise UserError(f"cluster.address={address}: nobody answers there ({error}). {ADDRESSES}") from error
+
+
+def _count_slots(cluster: Cluster) -> int:
+    """How many items all nodes could run at once."""
+    need_bytes = cluster.memory_per_task_gb * 2**30
+    resources = [node["Resources"] for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+    slots = sum(min(int(one.get("CPU", 0)), int(one.get("memory", 0) / need_bytes)) for one in resources)
+    if slots == 0:
+        most_gb = max((one.get("memory", 0) for one in resources), default=0) / 2**30
+        raise UserError(
+            f"cluster.memory_per_task_gb={cluster.memory_per_task_gb:g}: no node has that much; at most {most_gb:.1f}"
+        )
+    return slots

@@ -1,0 +1,1 @@
+"""What every room may use: the configuration's schema, console output, interrupts."""

@@ -1,0 +1,1 @@
+"""One evaluation: its plan, one episode in a worker, and the running tally."""

@@ -1,0 +1,55 @@
+"""What the progress line says about the episodes so far, and when too many of them fail."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pipeline.base.config import UserError
+
+BASELINE = "nonlearned_myopic"
+PLANNER = "pouct"
+MIN_EPISODES_TO_JUDGE = 20
+"""The share of failures is looked at from here on."""
+
+
+class Tally:
+    """Failures, and how much faster the main planner is than the baseline, on the trials that both have finished."""
+
+    def __init__(self, planners: Sequence[str], max_failed_fraction: float) -> None:
+        self._pair = (BASELINE, PLANNER) if {BASELINE, PLANNER} <= set(planners) else (planners[0], planners[-1])
+        self._max_failed_fraction = max_failed_fraction
+        self._costs_s: defaultdict[str, dict[str, float]] = defaultdict(dict)
+        self._sums_s = dict.fromkeys(self._pair, 0.0)
+        self._episodes = self._failed = 0
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Counts a row.
+
+        Raises:
+            UserError: more episodes than allowed ended with an exception or a timeout.
+        """
+        self._episodes += 1
+        if row["status"] in ("error", "timeout"):
+            self._failed += 1
+            if self._episodes >= MIN_EPISODES_TO_JUDGE and self._failed > self._max_failed_fraction * self._episodes:
+                raise UserError(
+                    f"{self._failed} of {self._episodes} episodes failed, more than evaluation.max_failed_fraction="
+                    f"{self._max_failed_fraction:g}; the rows so far are kept. The last one said:\n{row['error']}"
+                )
+        elif row["planner"] in self._sums_s and row["status"] == "accepted":
+            costs_s = self._costs_s[row["trial_id"]]
+            costs_s[row["planner"]] = row["cost_s"]
+            if len(costs_s) == len(self._sums_s):
+                for name, cost_s in self._costs_s.pop(row["trial_id"]).items():
+                    self._sums_s[name] += cost_s
+
+    def note(self) -> str:
+        """``pouct 31% better than nonlearned_myopic, 2 failed``."""
+        baseline, planner = self._pair
+        parts = []
+        if baseline != planner and self._sums_s[baseline] > 0:
+            saved = 1 - self._sums_s[planner] / self._sums_s[baseline]
+            parts.append(f"{planner} {abs(saved):.0%} {'better' if saved >= 0 else 'worse'} than {baseline}")
+        if self._failed:
+            parts.append(f"{self._failed} failed")
+        return ", ".join(parts)

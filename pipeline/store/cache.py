@@ -1,0 +1,40 @@
+"""The user's cache: maps, name embeddings and compiled kernels, all by content, all safe to remove.
+
+``python -m pipeline.store.cache`` (``make clean-cache``) removes it. Every evaluation trims it to ``cache_limit_gb``,
+removing first what was used least recently.
+"""
+
+import contextlib
+import os
+import shutil
+from pathlib import Path
+
+
+def default_cache_dir() -> Path:
+    """``$MRTASK_CACHE_DIR``, else ``mrtask`` in the user's cache folder."""
+    given = os.environ.get("MRTASK_CACHE_DIR")
+    return Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrtask"
+
+
+def trim(folder: Path, limit_bytes: float) -> int:
+    """Removes the least recently used files until the folder is within its limit; returns how many."""
+    files = []
+    for path in folder.rglob("*"):
+        with contextlib.suppress(OSError):
+            if path.is_file():
+                status = path.stat()
+                files.append((max(status.st_atime, status.st_mtime), status.st_size, path))
+    total, removed = sum(size for _, size, _ in files), 0
+    for _, size, path in sorted(files):
+        if total <= limit_bytes:
+            break
+        with contextlib.suppress(OSError):
+            path.unlink()
+            total, removed = total - size, removed + 1
+    return removed
+
+
+if __name__ == "__main__":
+    if default_cache_dir().exists():
+        shutil.rmtree(default_cache_dir())
+    print(f"removed {default_cache_dir()}")

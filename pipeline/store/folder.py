@@ -1,0 +1,227 @@
+"""A folder for results: on this machine or behind any fsspec URL (``s3://bucket/run``, ``memory://run``).
+
+Files appear whole or not at all: local ones by renaming, remote ones because stores show an object when its upload
+ends. Credentials and endpoints of stores come from the environment, as their fsspec packages take them.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fsspec
+
+from pipeline.base.config import UserError
+
+OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"}
+"""They have no folders to make, and making a bucket that is missing would hide a misspelt one."""
+LOCK = ".lock"
+LEASE_S = 60.0
+"""A run that has not renewed its lock in a store for so long is dead."""
+RENEW_EVERY_S = 15.0
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of files, addressed by its location (an absolute local path or an fsspec URL)."""
+
+    location: str
+
+    @property
+    def is_local(self) -> bool:
+        """Whether this is a path on this machine."""
+        return "://" not in self.location
+
+    def __truediv__(self, name: str) -> "Folder":
+        return Folder(f"{self.location.rstrip('/')}/{name}")
+
+    def __str__(self) -> str:
+        if not self.is_local:
+            return self.location
+        relative = os.path.relpath(self.location)
+        return self.location if relative.startswith("..") else relative
+
+    def _filesystem(self) -> tuple[Any, str]:
+        try:
+            filesystem, path = fsspec.core.url_to_fs(self.location)
+        except ImportError as error:
+            hint = "; pip install 'mrtask[s3]' brings it" if self.location.startswith("s3") else ""
+            raise UserError(f"output_dir={self.location}: {error}{hint}") from error
+        except ValueError as error:
+            raise UserError(f"output_dir={self.location}: {error}") from error
+        return filesystem, str(path).rstrip("/")
+
+    @contextmanager
+    def _told(self, problem: str, advice: str) -> Iterator[None]:
+        """Passes on as `UserError` what a file system or a store says, of which each has exceptions of its own."""
+        try:
+            yield
+        except UserError:
+            raise
+        except Exception as error:
+            if self.is_local and not isinstance(error, OSError):
+                raise
+            reason = (isinstance(error, OSError) and error.strerror) or error
+            raise UserError(f"{problem}: {reason}{advice}") from error
+
+    def write(self, name: str, content: bytes) -> None:
+        """Writes one file; an older one of that name is replaced at once.
+
+        Raises:
+            UserError: the folder cannot be written, or there is no room.
+        """
+        filesystem, path = self._filesystem()
+        advice = "; make room or give another place by output_dir=..., then run the same command again to continue"
+        with self._told(f"cannot write {self.location}/{name}", advice):
+            if not self.is_local:
+                if self.location.partition("://")[0] not in OBJECT_STORES:
+                    filesystem.makedirs(path, exist_ok=True)
+                filesystem.pipe_file(f"{path}/{name}", content)
+                return
+            os.makedirs(path, exist_ok=True)
+            temporary = f"{path}/.{name}.{os.getpid()}"
+            try:
+                Path(temporary).write_bytes(content)
+                os.replace(temporary, f"{path}/{name}")
+            finally:
+                Path(temporary).unlink(missing_ok=True)
+
+    def read(self, name: str) -> bytes | None:
+        """A file's content, None where there is no such file."""
+        filesystem, path = self._filesystem()
+        with self._told(f"cannot read {self.location}/{name}", ""):
+            try:
+                content: bytes = filesystem.cat_file(f"{path}/{name}")
+            except (FileNotFoundError, NotADirectoryError):
+                return None
+        return content
+
+    def names(self) -> list[str]:
+        """The names of the files and folders here, sorted; none where the folder is missing."""
+        filesystem, path = self._filesystem()
+        with self._told(f"cannot list {self.location}", ""):
+            try:
+                return sorted(Path(entry).name for entry in filesystem.ls(path, detail=False, refresh=True))
+            except (FileNotFoundError, NotADirectoryError):
+                return []
+
+    def remove(self, name: str) -> None:
+        """Removes a file or a folder with all in it; nothing happens where there is none."""
+        filesystem, path = self._filesystem()
+        with self._told(f"cannot remove {self.location}/{name}", ""):
+            if filesystem.exists(f"{path}/{name}"):
+                filesystem.rm(f"{path}/{name}", recursive=True)
+
+    def rename(self, old: str, new: str) -> None:
+        """Renames a file."""
+        filesystem, path = self._filesystem()
+        with self._told(f"cannot rename {self.location}/{old}", ""):
+            filesystem.mv(f"{path}/{old}", f"{path}/{new}")
+
+    def upload(self, source: Path) -> None:
+        """Copies a local folder's files here."""
+        for path in sorted(source.rglob("*")):
+            if path.is_file():
+                parent = path.relative_to(source).parent
+                target = self if parent == Path(".") else self / str(parent)
+                target.write(path.name, path.read_bytes())
+
+
+@contextmanager
+def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
+    """Holds the folder for this process; the lock ends with the process, however that ends.
+
+    A URL is locked on this machine by a file in ``cache_dir`` and for other machines by an object in the store that
+    counts while it is renewed: of two runs that start in the same second on two machines, both may get in.
+
+    Raises:
+        UserError: another run holds it, or the folder cannot be written.
+    """
+    if folder.is_local:
+        with _locked_file(Path(folder.location) / LOCK, folder):
+            yield
+    else:
+        path = cache_dir / "locks" / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
+        with _locked_file(path, folder), _leased(folder):
+            yield
+
+
+@contextmanager
+def _locked_file(path: Path, folder: Folder) -> Iterator[None]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = path.open("a+")
+    except OSError as error:
+        raise UserError(
+            f"cannot write in output_dir={folder.location}: {error.strerror or error}; give another by output_dir=..."
+        ) from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            handle.seek(0)
+            raise UserError(
+                f"output_dir={folder.location} is in use by another run ({handle.read().strip() or 'unknown'}); "
+                "wait for it, stop it, or give another output_dir"
+            ) from error
+        handle.seek(0)
+        handle.truncate()
+        handle.write(f"{_this_process()}\n")
+        handle.flush()
+        yield
+
+
+@contextmanager
+def _leased(folder: Folder) -> Iterator[None]:
+    """Keeps an object in the store that tells runs on other machines to keep out."""
+    _refuse_if_leased(folder)
+    over = threading.Event()
+
+    def write() -> None:
+        lease = {"by": _this_process(), "host": socket.gethostname(), "renewed": time.time()}
+        folder.write(LOCK, json.dumps(lease).encode())
+
+    def renew() -> None:
+        while not over.wait(RENEW_EVERY_S):
+            # A store that cannot be written is told by the run's own next write.
+            with contextlib.suppress(UserError):
+                write()
+
+    write()
+    renewing = threading.Thread(target=renew, daemon=True)
+    renewing.start()
+    try:
+        yield
+    finally:
+        over.set()
+        renewing.join()
+        # Left there by a store that fails, it is forgotten like a killed run's.
+        with contextlib.suppress(UserError):
+            folder.remove(LOCK)
+
+
+def _refuse_if_leased(folder: Folder) -> None:
+    content = folder.read(LOCK)
+    if content is None:
+        return
+    lease = json.loads(content)
+    silent_s = time.time() - lease["renewed"]
+    # One of this machine's is a dead run's: the file lock says that no other is alive.
+    if lease["host"] != socket.gethostname() and silent_s < LEASE_S:
+        raise UserError(
+            f"output_dir={folder.location} is in use by another run ({lease['by']}, heard of {silent_s:.0f} s ago); "
+            f"wait for it, stop it, or give another output_dir. A killed run is forgotten after {LEASE_S:.0f} s"
+        )
+
+
+def _this_process() -> str:
+    return f"process {os.getpid()} on {socket.gethostname()}"

@@ -1,0 +1,75 @@
+"""Sweeps: checked as a whole before they start, one folder and one MLflow child run per cell, one report."""
+
+from pathlib import Path
+
+import mlflow
+import pandas as pd
+
+from pipeline.backends import tracking
+from tests.pipeline.harness import Cli, Workspace
+
+
+def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace, cli: Cli) -> None:
+    sweep = [
+        "-m", *workspace.overrides, "planner.pouct.samples=5,10", "evaluation.robots=[1],[2]",
+        "evaluation.size_classes=[small]", "output_dir=outputs/sweep", "cache_dir=outputs/cache",
+    ]  # fmt: skip
+    done = cli("evaluate", *sweep, cwd=workspace.path)
+    assert done.code == 0, done.err
+    target = workspace.path / "outputs" / "sweep"
+    cells = sorted((target / "cells").iterdir())
+    assert [cell.name for cell in cells] == [
+        f"planner.pouct.samples={samples},evaluation.robots=_{robots}_" for samples in (10, 5) for robots in (1, 2)
+    ]
+    assert [len(pd.read_parquet(cell / "episodes")) for cell in cells] == [4] * 4
+    second_began = (cells[3] / "run.json").stat().st_mtime
+    maps = [path for path in (workspace.path / "outputs" / "cache" / "maps").rglob("*") if path.is_file()]
+    assert maps and all(path.stat().st_mtime < second_began for path in maps), "the second cell mapped homes again"
+    page = (target / "report" / "index.html").read_text()
+    assert "Cost against samples" in page
+    assert "planner.pouct.samples=5" in page and "planner.pouct.samples=10" in page
+    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    client = mlflow.MlflowClient()
+    [parent] = client.search_runs([store.experiment_id], "tags.stage = 'sweep'")
+    assert parent.info.status == "FINISHED"
+    assert client.list_artifacts(parent.info.run_id, "report")
+    of_parent = f"tags.mlflow.parentRunId = '{parent.info.run_id}'"
+    children = client.search_runs([store.experiment_id], of_parent)
+    assert len(children) == 4
+    assert {child.info.run_name for child in children} == {
+        f"samples={samples},robots=[{robots}]" for samples in (5, 10) for robots in (1, 2)
+    }
+    assert {child.data.params["planner.pouct.samples"] for child in children} == {"5", "10"}
+    again = cli("evaluate", *sweep, cwd=workspace.path)
+    assert again.out.count("/episodes (unchanged, skipped)") == 4
+
+
+def test_one_wrong_cell_keeps_the_whole_sweep_from_starting(workspace: Workspace, cli: Cli) -> None:
+    overrides = [*workspace.overrides, "planner.pouct.samples=5,-5,x", "output_dir=outputs/wrong"]
+    done = cli("evaluate", "-m", *overrides, cwd=workspace.path)
+    assert done.code == 2
+    assert "the sweep does not start" in done.err
+    assert "cell planner.pouct.samples=-5: " in done.err and "cell planner.pouct.samples=x: " in done.err
+    assert "== cell" not in done.out
+    assert not (workspace.path / "outputs" / "wrong" / "cells").exists()
+
+
+def test_a_cell_that_fails_leaves_the_others_running(workspace: Workspace, cli: Cli) -> None:
+    sweep = [
+        "-m", *workspace.overrides, "evaluation.homes.files=[small.jsonl]", "evaluation.size_classes=[large],[small]",
+        "evaluation.robots=[1]", "output_dir=outputs/partly",
+    ]  # fmt: skip
+    make_small_homes(workspace.path / "small.jsonl")
+    done = cli("evaluate", *sweep, cwd=workspace.path)
+    assert done.code == 2
+    assert "1 of 2 cells failed" in done.err and "no large home to evaluate on" in done.err
+    cells = workspace.path / "outputs" / "partly" / "cells"
+    assert len(pd.read_parquet(cells / "evaluation.size_classes=_small_" / "episodes")) == 4
+
+
+def make_small_homes(path: Path) -> None:
+    """A file of small homes only."""
+    from mrtask.homes.generator.house import generate_house
+    from tests.pipeline.test_stages import write_houses
+
+    write_houses(path, [generate_house(seed, "small") for seed in range(20, 23)])

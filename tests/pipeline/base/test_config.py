@@ -1,0 +1,125 @@
+"""The configuration: every preset is valid, and every mistake is refused with what is allowed."""
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions
+from mrtask.planning.paper import PaperOptions
+from mrtask.planning.planners import PLANNERS
+from mrtask.planning.pouct import PouctOptions
+from pipeline import train
+from pipeline.app.main import CONF_DIR
+from pipeline.base.config import Config, Model, UserError, content_hash, load
+
+
+@pytest.fixture(autouse=True)
+def _resolvers() -> None:
+    OmegaConf.register_new_resolver("default_cache_dir", lambda: "/cache", replace=True)
+    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
+    OmegaConf.register_new_resolver("stage_name", lambda: "", replace=True)
+    OmegaConf.register_new_resolver("stage_help", lambda: "", replace=True)
+
+
+def make(*overrides: str) -> Config:
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        return load(compose("config", list(overrides)))
+
+
+@pytest.mark.parametrize("path", sorted(CONF_DIR.glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_every_option_of_every_group_is_valid(path: Path) -> None:
+    needed = {"procthor": ["homes.files=[a.jsonl]"], "ros_map": ["homes.map=a.yaml", "homes.containers=b.yaml"]}
+    make(f"{path.parent.name}={path.stem}", *needed.get(path.stem, []))
+
+
+def test_defaults_are_the_papers_experiment() -> None:
+    config = make()
+    assert config.homes.train == 500
+    evaluation = config.evaluation
+    assert len(evaluation.size_classes) * len(evaluation.robots) * evaluation.trials_per_cell == 900
+    assert set(evaluation.planners) == set(PLANNERS)
+    assert config.output_dir == str(Path("outputs/paper").absolute())
+
+
+@pytest.mark.parametrize(("name", "options"), [("pouct", PouctOptions()), ("pouct_paper", PaperOptions())])
+def test_the_configuration_shows_every_option_of_the_searches_with_its_default(name: str, options: object) -> None:
+    assert make().planner[name] == vars(options)
+
+
+def test_relative_paths_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = make("output_dir=here", "homes=procthor", "homes.files=[a.jsonl,b.jsonl]", "datasets_dir=/data")
+    assert config.output_dir == str(tmp_path / "here")
+    assert config.homes.model_dump()["files"] == (tmp_path / "a.jsonl", tmp_path / "b.jsonl")
+    assert config.datasets_dir == Path("/data")
+    assert config.tracking.uri == f"sqlite:///{tmp_path}/outputs/mlflow.db"
+    assert make("output_dir=s3://bucket/run").output_dir == "s3://bucket/run"
+
+
+def test_single_values_stand_for_lists_of_one() -> None:
+    evaluation = make("evaluation.robots=2", "evaluation.planners=greedy", "evaluation.templates=and2").evaluation
+    assert (evaluation.robots, evaluation.planners, evaluation.templates) == ((2,), ("greedy",), ("and2",))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["planner.pouct.samples=-5"], ["pouct", "samples must be at least 1, not -5"]),
+        (["+planner.pouct.smaples=5"], ["pouct", "smaples", "samples"]),
+        (["+planner.puct.samples=5"], ["unknown planner 'puct'", "pouct"]),
+        (["evaluation.planners=[pouct,foo]"], ["evaluation.planners", "'foo'", *PLANNERS]),
+        (["evaluation.planners=[greedy,greedy]"], ["evaluation.planners", "once"]),
+        (["evaluation.planners=[no.such.module]"], ["no.such.module", "cannot be imported"]),
+        (["evaluation.size_classes=[tiny]"], ["tiny", "'small', 'medium', 'large'"]),
+        (["evaluation.templates=[and9]"], ["and9", "and2", "or_seq"]),
+        (["evaluation.robots=[0]"], ["evaluation.robots.0=0", "at least 1"]),
+        (["evaluation.trials_per_cell=0"], ["evaluation.trials_per_cell=0", "at least 1"]),
+        (["evaluation.speed_m_per_s=0"], ["evaluation.speed_m_per_s=0", "greater than 0"]),
+        (["evaluation.max_failed_fraction=2"], ["at most 1"]),
+        (["evaluation.rerun=[failled]"], ["'error', 'timeout', 'failed'"]),
+        (["map.resolution_m=-1"], ["map.resolution_m", "greater than 0"]),
+        (["model.kind=transformer"], ["model.kind=transformer", *MODEL_KINDS]),
+        (["cluster.address=nowhere"], ["cluster.address=nowhere"]),
+        (["homes=procthor"], ["homes.files", "a value is needed"]),
+        (["homes=procthor", "homes.files=[]"], ["homes.files"]),
+        (["homes=ros_map", "homes.map=a.yaml"], ["homes.containers", "a value is needed"]),
+        (
+            ["homes=ros_map", "homes.map=[a.yaml,b.yaml]", "homes.containers=c.yaml"],
+            ["homes.map lists 2 and homes.containers 1; give one for each map"],
+        ),
+        (["realism.models=[best]"], ["realism.models.0=best", *MODEL_KINDS]),
+        (["+foo=1"], ["foo: no such key", "evaluation", "homes"]),
+        (["+evaluation.robot=1"], ["evaluation.robot: no such key", "did you mean robots?"]),
+        (["+homes.count=1"], ["homes.count: no such key", "train"]),
+        (["seed=-1", "evaluation.robots=[0]"], ["seed=-1", "evaluation.robots.0=0"]),
+        (["seed=many"], ["seed=many", "integer"]),
+    ],
+)
+def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: list[str]) -> None:
+    with pytest.raises(UserError) as caught:
+        make(*overrides)
+    for part in said:
+        assert part in str(caught.value)
+
+
+def test_options_of_an_own_planner_stand_under_its_name() -> None:
+    planners = "evaluation.planners=[tests.pipeline.own_planners.Slow]"
+    config = make(planners, "+planner.Slow.pause_s=0.5")
+    assert config.planner_options("tests.pipeline.own_planners.Slow") == {"pause_s": 0.5}
+    with pytest.raises(UserError, match=r"own_planners\.Slow.*nap_s"):
+        make(planners, "+planner.Slow.nap_s=0.5")
+
+
+def test_model_kinds_and_training_options_fit_the_library() -> None:
+    assert get_args(Model.model_fields["kind"].annotation) == MODEL_KINDS
+    options = train.training_options(make("model=mlp", "seed=3", "trainer.max_epochs=7"))
+    assert isinstance(options, TrainingOptions)
+    assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
+
+
+def test_content_hash_depends_on_values_not_on_order() -> None:
+    assert content_hash({"a": 1, "b": [2]}) == content_hash({"b": [2], "a": 1})
+    assert content_hash({"a": 1}) != content_hash({"a": 2})
