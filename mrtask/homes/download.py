@@ -16,6 +16,8 @@ import pooch
 import requests
 from tqdm import tqdm
 
+from mrtask.errors import InputError
+
 HOMES_URL = "https://media.githubusercontent.com/media/allenai/procthor-10k/439193522244720b86d8c81cde2e51e3a4d150cf/"
 ASSETS_URL = (
     "https://raw.githubusercontent.com/allenai/procthor/d4c4c6a9fdd9679c8b9343d771c510016cd310df/procthor/databases/"
@@ -50,8 +52,8 @@ PROCTHOR_10K: Mapping[str, RemoteFile] = {
 }
 
 
-class DownloadError(RuntimeError):
-    """A file that could not be got: names it, the reason and what to do."""
+class DownloadError(InputError):
+    """A file that could not be downloaded: names it, the reason and what to do."""
 
 
 def fetch_procthor10k(

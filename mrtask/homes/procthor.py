@@ -19,6 +19,7 @@ from shapely.geometry import LineString
 from shapely.geometry import Point as ShapelyPoint
 from shapely.geometry import Polygon as ShapelyPolygon
 
+from mrtask.errors import InputError
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, AssetDatabase, Size, load_catalogue
 from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, Room
 
@@ -33,7 +34,7 @@ WALL_TOLERANCE_M = 0.05
 """Wall ids carry two decimals, door positions all of them."""
 
 
-class HouseError(ValueError):
+class HouseError(InputError):
     """A house that cannot be read: names the file, the home's number in it (from 0) and the field."""
 
     def __init__(self, source: str, number: int | None, field: str, problem: str) -> None:

@@ -7,7 +7,6 @@ rows is refused.
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +16,8 @@ import numpy as np
 import pandas as pd
 import pandera.pandas as pa
 
+from mrtask.errors import InputError
+from mrtask.files import replacing
 from mrtask.homes.home import Home
 from mrtask.likelihood.rows import ROW_SCHEMA, SPLITS, distinct_triples, label_rows, vocabulary
 
@@ -24,7 +25,7 @@ FORMAT_VERSION = 1
 ROWS_FILE, MANIFEST_FILE, CARD_FILE = "rows.parquet", "manifest.json", "README.md"
 
 
-class DatasetError(ValueError):
+class DatasetError(InputError):
     """A dataset that is missing, damaged or not what its manifest says."""
 
 
@@ -120,12 +121,13 @@ def build_dataset(
 
 def write_dataset(dataset: Dataset, folder: Path) -> None:
     """Write rows, data card and, last, the manifest; each file appears whole or not at all."""
-    folder.mkdir(parents=True, exist_ok=True)
     rows = _checked(dataset.rows)
-    _replace(folder / ROWS_FILE, lambda path: rows.to_parquet(path, index=False, compression="zstd"))
-    _replace(folder / CARD_FILE, lambda path: path.write_text(data_card(dataset.manifest), encoding="utf-8"))
-    text = json.dumps(asdict(dataset.manifest), indent=1)
-    _replace(folder / MANIFEST_FILE, lambda path: path.write_text(text, encoding="utf-8"))
+    with replacing(folder / ROWS_FILE) as path:
+        rows.to_parquet(path, index=False, compression="zstd")
+    with replacing(folder / CARD_FILE) as path:
+        path.write_text(data_card(dataset.manifest), encoding="utf-8")
+    with replacing(folder / MANIFEST_FILE) as path:
+        path.write_text(json.dumps(asdict(dataset.manifest), indent=1), encoding="utf-8")
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -220,9 +222,3 @@ def _checked(rows: pd.DataFrame) -> pd.DataFrame:
 def _content_hash(rows: pd.DataFrame) -> str:
     values = pd.util.hash_pandas_object(rows, index=False).to_numpy()
     return hashlib.sha256(values.tobytes()).hexdigest()
-
-
-def _replace(path: Path, write: Any) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    write(temporary)
-    os.replace(temporary, path)

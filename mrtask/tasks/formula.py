@@ -12,6 +12,8 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+from mrtask.errors import InputError
+
 RESERVED_WORDS = ("X", "F", "U", "G", "true", "false")
 MAX_NESTING = 100
 """Levels of nested parentheses and operators, well inside Python's recursion limit."""
@@ -28,7 +30,7 @@ _NEVER_COMPLETED = (
 )
 
 
-class FormulaError(ValueError):
+class FormulaError(InputError):
     """A formula that is no task: what is wrong, at which ``position`` (counted from 1), with a caret under it."""
 
     def __init__(self, message: str, text: str, position: int) -> None:

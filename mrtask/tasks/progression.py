@@ -9,6 +9,7 @@ as ``((F a | F b) & (F c | F d) & ...) | F e``, which sets of clauses multiply o
 from functools import reduce
 from typing import NamedTuple
 
+from mrtask.errors import InputError
 from mrtask.tasks.formula import And, Constant, Formula, Next, Not, Or, Proposition, Until
 
 State = int
@@ -22,7 +23,7 @@ MAX_NODES = 500_000
 """Nodes of all states together; reaching them takes seconds."""
 
 
-class FormulaTooLargeError(ValueError):
+class FormulaTooLargeError(InputError):
     """The formula has more different parts, or its states are larger, than progression handles."""
 
 

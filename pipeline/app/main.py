@@ -21,21 +21,16 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrtask.homes.procthor import HouseError
-from mrtask.likelihood.dataset import DatasetError
-from mrtask.likelihood.model import ModelError
-from mrtask.maps.ros_map import MapError
-from mrtask.tasks.formula import FormulaError
+from mrtask.errors import InputError
 from pipeline.app import sweep
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
-from pipeline.base.config import Cluster, UserError
+from pipeline.base.config import Cluster
 from pipeline.store.cache import default_cache_dir
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 USER_ERROR_EXIT = 2
-USER_ERRORS = (UserError, HouseError, MapError, FormulaError, DatasetError, ModelError)
 
 
 def main(module_name: str) -> None:
@@ -84,7 +79,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
                 config = sweep.enter_cell(config, list(HydraConfig.get().overrides.task))
             # Imported by name also when it is __main__, so that what it sends to workers is found there.
             importlib.import_module(module_name).run(config, workers.of(config.cluster))
-        except USER_ERRORS as error:
+        except InputError as error:
             if not sweep.note_failure(error):
                 sys.exit(_fail(error))
 

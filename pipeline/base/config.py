@@ -24,6 +24,7 @@ from pydantic import (
     model_validator,
 )
 
+from mrtask.errors import InputError
 from mrtask.planning.planners import make_planner
 from mrtask.tasks.templates import TEMPLATES
 
@@ -31,8 +32,8 @@ Positive = Annotated[int, Field(ge=1)]
 SizeClass = Literal["small", "medium", "large"]
 
 
-class UserError(Exception):
-    """Something that the user can mend; shown as one message, without a traceback."""
+class UserError(InputError):
+    """A mistake in the configuration, or in what it points to."""
 
 
 def _absolute(path: Path) -> Path:

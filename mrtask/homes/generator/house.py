@@ -8,8 +8,6 @@ and the two size arguments only.
 import gzip
 import json
 import math
-import os
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
+from mrtask.files import replacing
 from mrtask.homes.catalogue import CONTAINER_TYPES, Catalogue, load_catalogue
 from mrtask.homes.contents import draw_objects
 from mrtask.homes.generator.floor_plan import OUTSIDE, FloorPlan, Wall, make_floor_plan
@@ -93,19 +92,16 @@ def generate_house(seed: int, size_class: str | None = None, rooms: int | None =
 
 def write_houses(path: Path, houses: Iterable[House]) -> int:
     """Write houses as gzipped JSON lines and return their number; the file appears complete or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     count = 0
-    try:
-        # No name and no time in the header: equal houses make equal files.
-        with os.fdopen(handle, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed:
-            for house in houses:
-                packed.write(json.dumps(house, separators=(",", ":")).encode() + b"\n")
-                count += 1
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    # No name and no time in the header: equal houses make equal files.
+    with (
+        replacing(path) as temporary,
+        temporary.open("wb") as raw,
+        gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed,
+    ):
+        for house in houses:
+            packed.write(json.dumps(house, separators=(",", ":")).encode() + b"\n")
+            count += 1
     return count
 
 
