@@ -23,6 +23,7 @@ import pandas as pd
 import psutil
 from ray.cluster_utils import Cluster as SimulatedCluster
 
+from mrtask.execution.trials import TrialOptions
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import parse_house
@@ -93,7 +94,7 @@ def make_context(samples: int) -> Context:
         table=build_table(model, homes),
         maps=MapOptions(resolution_m=0.05, robot_radius_m=0.2, cache_dir=default_cache_dir()),
         seed=0,
-        trial_options={},
+        trials=TrialOptions(),
         planner_options={PLANNER: {"samples": samples}},
         provenance={"model_version": "0", "config_hash": "", "code_version": ""},
     )

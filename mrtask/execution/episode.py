@@ -54,21 +54,7 @@ def run_episode(
         ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
     """
     planner = make_planner(planner_name, planner_options)
-    automaton = build_automaton(trial.formula, trial.objects)
-    truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
-    simulation = Simulation(
-        home,
-        home_map,
-        automaton,
-        likelihood,
-        truth,
-        robots=trial.robots,
-        start_cell=trial.start_cell,
-        speed_m_per_s=trial.speed_m_per_s,
-        search_time_s=trial.search_time_s,
-        interact_time_s=trial.interact_time_s,
-        known=getattr(planner, "knows_contents", False),
-    )
+    simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
     decisions, samples, planning_s, error = 0, 0, 0.0, None
     while not simulation.accepted:
         if decisions == max_decisions:
@@ -94,10 +80,33 @@ def run_episode(
         planner=planner_name,
         status="accepted" if error is None else "failed",
         cost_s=cost_s,
-        cost_cells=None if cost_s is None else cost_s * trial.speed_m_per_s / CELL_M,
+        cost_cells=None if cost_s is None else cost_s * trial.team.spec.speed_m_per_s / CELL_M,
         decisions=decisions,
         planning_s=planning_s,
         samples=samples,
         error=error,
         trace=simulation.trace(),
+    )
+
+
+def warm_up(
+    trial: Trial,
+    home: Home,
+    home_map: HomeMap,
+    likelihood: NDArray[np.float64],
+    planner_name: str,
+    planner_options: Mapping[str, object] | None = None,
+) -> None:
+    """Lets a planner compile what it needs, on a trial's first decision; arguments and errors as of `run_episode`."""
+    planner = make_planner(planner_name, planner_options)
+    planner.warm_up(_simulation(trial, home, home_map, likelihood, planner.knows_contents).problem())
+
+
+def _simulation(
+    trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], known: bool
+) -> Simulation:
+    automaton = build_automaton(trial.formula, trial.objects)
+    truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
+    return Simulation(
+        home, home_map, automaton, likelihood, truth, team=trial.team, start_cell=trial.start_cell, known=known
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.execution.motion import Position, Route, plan_route
+from mrtask.execution.team import Team
 from mrtask.execution.trace import Leg, Letter, Trace
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
@@ -54,24 +55,21 @@ class Simulation:
         likelihood: NDArray[np.float64],
         truth: NDArray[np.bool_],
         *,
-        robots: int,
+        team: Team,
         start_cell: tuple[int, int],
-        speed_m_per_s: float = 1.0,
-        search_time_s: float = 0.0,
-        interact_time_s: float = 0.0,
         known: bool = False,
     ) -> None:
         self.home, self.home_map, self.automaton, self.truth = home, home_map, automaton, truth
-        self.speed_m_per_s, self.search_time_s, self.interact_time_s = speed_m_per_s, search_time_s, interact_time_s
+        self.spec = team.spec
         self._safe = safe(automaton)
         self.time_s = 0.0
         self.state = automaton.initial
         self.searched = home_map.reachable.copy() if known else np.zeros(len(home.containers), dtype=bool)
         self.presence_prob = np.where(self.searched[:, None], truth.astype(float), likelihood)
         self.presence_prob[~home_map.reachable] = 0.0
-        self._travel_s = home_map.travel_m / speed_m_per_s
+        self._travel_s = home_map.travel_m / team.spec.speed_m_per_s
         self._start = Position.at(start_cell)
-        self._robots = [_Robot(self._start) for _ in range(robots)]
+        self._robots = [_Robot(self._start) for _ in range(team.robots)]
         self._letters: list[Letter] = []
         self._decide_again = False
         self._news = False
@@ -91,8 +89,8 @@ class Simulation:
             searched=self.searched.copy(),
             travel_s=self._travel_s,
             robots=tuple(self._status(robot) for robot in self._robots),
-            search_time_s=self.search_time_s,
-            interact_time_s=self.interact_time_s,
+            search_time_s=self.spec.search_time_s,
+            interact_time_s=self.spec.interact_time_s,
             may_redirect=self._news,
         )
 
@@ -150,7 +148,7 @@ class Simulation:
     def _status(self, robot: _Robot) -> RobotStatus:
         moving = robot.mode == "move"
         return RobotStatus(
-            travel_s=self._position(robot).distances_m(self.home_map) / self.speed_m_per_s,
+            travel_s=self._position(robot).distances_m(self.home_map) / self.spec.speed_m_per_s,
             place=robot.place,
             free=robot.mode == "free",
             target=robot.assignment.container if moving else -1,
@@ -161,7 +159,7 @@ class Simulation:
 
     def _position(self, robot: _Robot) -> Position:
         if robot.mode == "move" and robot.route is not None:
-            return robot.route.position((self.time_s - robot.since_s) * self.speed_m_per_s)
+            return robot.route.position((self.time_s - robot.since_s) * self.spec.speed_m_per_s)
         return robot.position
 
     def _start_action(self, robot: _Robot, assignment: Assignment) -> None:
@@ -180,7 +178,7 @@ class Simulation:
             return
         robot.place = -1
         robot.route = plan_route(self.home_map, robot.position, container)
-        robot.mode, robot.until_s = "move", self.time_s + robot.route.length_m / self.speed_m_per_s
+        robot.mode, robot.until_s = "move", self.time_s + robot.route.length_m / self.spec.speed_m_per_s
 
     def _arrive(self, robot: _Robot) -> None:
         self._close_leg(robot)
@@ -190,7 +188,7 @@ class Simulation:
         if self.searched[robot.place]:
             robot.mode, robot.until_s = "settling", self.time_s
         else:
-            robot.mode, robot.until_s = "search", self.time_s + self.search_time_s
+            robot.mode, robot.until_s = "search", self.time_s + self.spec.search_time_s
 
     def _process_instant(self) -> bool:
         """Settles everything that is due now; True if that leaves a robot with a new freedom to decide."""
@@ -239,7 +237,7 @@ class Simulation:
         after = self.automaton.steps_to_accept[self.automaton.transitions[self.state, choices]]
         self._close_leg(robot)
         robot.obj = int(choices[int(np.argmin(after))])
-        robot.mode, robot.until_s = "interact", self.time_s + self.interact_time_s
+        robot.mode, robot.until_s = "interact", self.time_s + self.spec.interact_time_s
         return True
 
     def _complete_interactions(self) -> None:
@@ -271,7 +269,7 @@ class Simulation:
         path: tuple[tuple[float, float], ...] = (robot.position.point(self.home_map),)
         target = robot.place
         if kind == "move" and robot.route is not None:
-            path = robot.route.points(self.home_map, (self.time_s - t0_s) * self.speed_m_per_s)
+            path = robot.route.points(self.home_map, (self.time_s - t0_s) * self.spec.speed_m_per_s)
             target = robot.assignment.container
         robot.legs.append(
             Leg(

@@ -2,10 +2,11 @@
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from mrtask.execution.team import RobotSpec, Team
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.templates import TEMPLATES, make_formula
@@ -18,15 +19,22 @@ class Trial:
     trial_id: str
     home_id: str
     size_class: str
-    robots: int
+    team: Team
     template: str
     formula: str
     objects: tuple[str, ...]
     start_cell: tuple[int, int]
     seed: int
-    speed_m_per_s: float = 1.0
-    search_time_s: float = 0.0
-    interact_time_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrialOptions:
+    """Tasks of trials, from templates or a ``formula`` of the user's own over ``formula_objects``, and their robots."""
+
+    templates: tuple[str, ...] = tuple(TEMPLATES)
+    formula: str | None = None
+    formula_objects: tuple[str, ...] = ()
+    robot: RobotSpec = field(default_factory=RobotSpec)
 
 
 def trial_id(size_class: str, robots: int, number: int) -> str:
@@ -63,31 +71,27 @@ def sample_trial(
     map_of: Callable[[Home], HomeMap],
     *,
     seed: int,
-    templates: Sequence[str] = tuple(TEMPLATES),
-    formula: str | None = None,
-    formula_objects: tuple[str, ...] = (),
-    speed_m_per_s: float = 1.0,
-    search_time_s: float = 0.0,
-    interact_time_s: float = 0.0,
+    options: TrialOptions | None = None,
 ) -> Trial:
     """The ``number``-th trial of a cell, on the homes of `home_order`.
 
     The template is drawn among those that the home has enough distinct reachable objects for, the objects and the start
-    cell uniformly. Homes with too few objects for every template are passed over. A ``formula`` of the user's own, over
-    ``formula_objects``, takes the place of the templates in every trial.
+    cell uniformly. Homes with too few objects for every template are passed over. A ``formula`` among the options takes
+    the place of the templates in every trial.
 
     Raises:
         ValueError: no home of the class has enough objects.
     """
+    options = options or TrialOptions()
     rng = np.random.default_rng(key_seed(seed, "trial", size_class, robots, number))
     for step in range(len(order)):
         home = order[(number + step) % len(order)]
         home_map = map_of(home)
         names = reachable_objects(home, home_map)
-        if formula is not None:
-            template, text, objects = "formula", formula, formula_objects
+        if options.formula is not None:
+            template, text, objects = "formula", options.formula, options.formula_objects
         else:
-            fitting = [name for name in templates if TEMPLATES[name].arity <= len(names)]
+            fitting = [name for name in options.templates if TEMPLATES[name].arity <= len(names)]
             if not fitting:
                 continue
             template = fitting[int(rng.integers(len(fitting)))]
@@ -99,17 +103,14 @@ def sample_trial(
             trial_id=trial_id(size_class, robots, number),
             home_id=home.id,
             size_class=size_class,
-            robots=robots,
+            team=Team(robots, options.robot),
             template=template,
             formula=text,
             objects=objects,
             start_cell=(int(row), int(col)),
             seed=key_seed(seed, "planner", size_class, robots, number),
-            speed_m_per_s=speed_m_per_s,
-            search_time_s=search_time_s,
-            interact_time_s=interact_time_s,
         )
     raise ValueError(
-        f"no {size_class} home has enough distinct reachable objects for any of the templates {', '.join(templates)}; "
-        f"give other evaluation homes or templates ({len(order)} homes tried)"
+        f"no {size_class} home has enough distinct reachable objects for any of the templates "
+        f"{', '.join(options.templates)}; give other evaluation homes or templates ({len(order)} homes tried)"
     )

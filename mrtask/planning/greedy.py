@@ -15,9 +15,15 @@ CACHED_ROWS = 4096
 class Greedy:
     """At each decision the least travel time over probability of advancing, over all pairs of robot and action."""
 
+    knows_contents = False
+
     def __init__(self, later_weight: float = LATER_WEIGHT) -> None:
         check_later_weight(later_weight)
         self._later_weight = later_weight
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Compiles the kernels: one plan."""
+        self.plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Assigns all robots; the rule draws nothing, so ``seed`` does not matter."""
@@ -32,11 +38,11 @@ def check_later_weight(later_weight: float) -> None:
         raise ValueError(f"later_weight must be in (0, 1], not {later_weight}")
 
 
-def policy(problem: PlanningProblem, later_weight: float) -> kernel.Greedy:
+def policy(problem: PlanningProblem, later_weight: float) -> kernel.GreedyPolicy:
     """The policy's parameter, with an empty cache and scratch space."""
     containers, objects = problem.presence_prob.shape
     rows = min(CACHED_ROWS, len(problem.automaton.accepting) << objects)
-    return kernel.Greedy(
+    return kernel.GreedyPolicy(
         later_weight=later_weight,
         tag=np.full(rows, NONE, dtype=np.int64),
         inverse=np.empty((rows, containers)),
@@ -46,7 +52,7 @@ def policy(problem: PlanningProblem, later_weight: float) -> kernel.Greedy:
     )
 
 
-def assign_greedily(model: Model, world: World, greedy: kernel.Greedy) -> dict[int, Assignment]:
+def assign_greedily(model: Model, world: World, greedy: kernel.GreedyPolicy) -> dict[int, Assignment]:
     """Lets all undecided robots of a world begin their greedy actions."""
     deciders = np.flatnonzero(world.undecided)
     kernel.assign(model, world, greedy)

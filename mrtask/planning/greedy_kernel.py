@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled
 from mrtask.planning.team_kernel import (
+    AUTOMATON,
     DECIDE,
+    FOUND,
     INTERACTING,
     MOVING,
     NONE,
@@ -31,13 +33,13 @@ I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 U8 = NDArray[np.uint64]
 
-LEAST_TRAVEL_S = 1e-9
+MIN_TRAVEL_S = 1e-9
 """Travel times count at least this much, so that likelihood decides between containers at no distance."""
 DETOUR_FACTOR = 1e3
 """Interactions that may hurt and lead no nearer to acceptance come after all others."""
 
 
-class Greedy(NamedTuple):
+class GreedyPolicy(NamedTuple):
     """The policy's one parameter, a direct-mapped cache of what searches are worth, and scratch space.
 
     A container's worth is kept as 1 / (weighted probability that a search finds something), by state and found objects.
@@ -52,10 +54,10 @@ class Greedy(NamedTuple):
 
 
 @compiled
-def _inverse_prob(model: Model, world: World, greedy: Greedy) -> int:
+def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     """The row of ``greedy.inverse`` for what a world knows, filled if need be."""
     objects = model.prob.shape[1]
-    z, found = world.state[0], world.state[1]
+    z, found = world.state[AUTOMATON], world.state[FOUND]
     key = (z << objects) | found
     row = key % greedy.tag.size
     if greedy.tag[row] == key:
@@ -89,7 +91,7 @@ def _fetching(model: Model, world: World) -> int:
 @compiled
 def _all_fetched(model: Model, world: World, fetching: int) -> bool:
     """Whether every object that advances the task now is being fetched, so that others may prepare for later."""
-    return (model.advancing[world.state[0]] & ~fetching) == 0
+    return (model.advancing[world.state[AUTOMATON]] & ~fetching) == 0
 
 
 @compiled
@@ -98,12 +100,14 @@ def _stands_ready(model: Model, world: World, r: int) -> bool:
     place = world.place[r]
     if world.mode[r] == MOVING or place == NONE or world.searched[place] == 0:
         return False
-    z = world.state[0]
+    z = world.state[AUTOMATON]
     return (world.holds[place] & model.needed[z] & ~model.advancing[z]) != 0
 
 
 @compiled
-def _score(model: Model, world: World, greedy: Greedy, row: int, fetching: int, ahead: bool, r: int, c: int) -> float:
+def _score(
+    model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int, c: int
+) -> float:
     """Travel time over the probability of advancing: the lower the better, inf for a container of no use now.
 
     A place known to hold an object for later counts only with ``ahead``, and not for a robot that is at one already.
@@ -113,7 +117,7 @@ def _score(model: Model, world: World, greedy: Greedy, row: int, fetching: int, 
     if world.searched[c] == 0:
         weight = greedy.inverse[row, c]
     else:
-        z = world.state[0]
+        z = world.state[AUTOMATON]
         useful = world.holds[c] & model.needed[z]
         if useful & model.safe[z] & ~fetching:
             weight = 1.0
@@ -123,12 +127,12 @@ def _score(model: Model, world: World, greedy: Greedy, row: int, fetching: int, 
             return np.inf
     if weight == np.inf:
         return np.inf
-    return max(distance_s(model, world, r, c), LEAST_TRAVEL_S) * weight
+    return max(distance_s(model, world, r, c), MIN_TRAVEL_S) * weight
 
 
 @compiled
 def _best(
-    model: Model, world: World, greedy: Greedy, row: int, fetching: int, ahead: bool, r: int
+    model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int
 ) -> tuple[int, float]:
     """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none."""
     containers = world.searched.size
@@ -141,8 +145,8 @@ def _best(
                     best, best_score = c, score
         if best != NONE or ahead:
             break
-    z = world.state[0]
-    named = model.advancing[z] & ~model.safe[z] & world.state[1] & ~fetching
+    z = world.state[AUTOMATON]
+    named = model.advancing[z] & ~model.safe[z] & world.state[FOUND] & ~fetching
     obj = 0
     while named:
         if named & 1 and greedy.skip[containers + obj] == 0:
@@ -150,7 +154,7 @@ def _best(
             nearer = model.steps[model.transitions[z, obj]] < model.steps[z]
             if c != NONE:
                 factor = 1.0 if nearer else DETOUR_FACTOR
-                score = max(distance_s(model, world, r, c), LEAST_TRAVEL_S) * factor
+                score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * factor
                 if score < best_score:
                     best, best_score = containers + obj, score
         named >>= 1
@@ -159,7 +163,7 @@ def _best(
 
 
 @compiled
-def next_action(model: Model, world: World, greedy: Greedy, r: int) -> int:
+def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int:
     """A robot's best action that is not in ``greedy.skip``: NONE if there is none.
 
     Last comes what the policy leaves out: being early, or going where another robot goes too.
@@ -173,7 +177,7 @@ def next_action(model: Model, world: World, greedy: Greedy, r: int) -> int:
 
 
 @compiled
-def _least(world: World, greedy: Greedy) -> int:
+def _least(world: World, greedy: GreedyPolicy) -> int:
     """The undecided robot of least ``greedy.score``; NONE if nobody is undecided."""
     chosen = NONE
     for r in range(world.mode.size):
@@ -183,7 +187,7 @@ def _least(world: World, greedy: Greedy) -> int:
 
 
 @compiled
-def _look_round(model: Model, world: World, greedy: Greedy, row: int) -> None:
+def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int) -> None:
     """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots."""
     fetching = _fetching(model, world)
     ahead = _all_fetched(model, world, fetching)
@@ -193,14 +197,14 @@ def _look_round(model: Model, world: World, greedy: Greedy, row: int) -> None:
 
 
 @compiled
-def first_to_decide(model: Model, world: World, greedy: Greedy) -> int:
+def first_to_decide(model: Model, world: World, greedy: GreedyPolicy) -> int:
     """The undecided robot whose best action scores least; NONE if nobody is undecided."""
     _look_round(model, world, greedy, _inverse_prob(model, world, greedy))
     return _least(world, greedy)
 
 
 @compiled
-def assign(model: Model, world: World, greedy: Greedy) -> None:
+def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
     """Lets all undecided robots begin actions, each time the robot and action of least score over all."""
     row = _inverse_prob(model, world, greedy)
     _look_round(model, world, greedy, row)
@@ -220,7 +224,7 @@ def assign(model: Model, world: World, greedy: Greedy) -> None:
 
 
 @compiled
-def rollout(model: Model, world: World, greedy: Greedy, rng: U8) -> int:
+def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: U8) -> int:
     """Finishes the task greedily: DONE or STUCK."""
     while True:
         assign(model, world, greedy)

@@ -27,8 +27,13 @@ Shortlist = Callable[[PlanningProblem, BoolArray, int], BoolArray]
 class MyopicPlanner:
     """A rule of the paper: ``shortlist`` says which unsearched containers the free robots divide among them."""
 
+    knows_contents = False
+
     def __init__(self, shortlist: Shortlist) -> None:
         self._shortlist = shortlist
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Nothing is compiled."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """See the module; the rule draws nothing, so ``seed`` does not matter."""

@@ -7,13 +7,16 @@ bound that puts every object at its nearest possible container was tried first: 
 containers and led to costs no better than the non-learned baseline's.) The plan is the joint action of least mean cost.
 """
 
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, FloatArray, Plan, PlanInfo, PlanningProblem, needed
+from mrtask.planning.team import stuck_penalty_s
 from mrtask.planning.tree import (
+    NODES,
     NONE,
     SearchOptions,
     Tree,
@@ -25,9 +28,9 @@ from mrtask.planning.tree import (
 )
 from mrtask.tasks.automaton import Automaton
 
-MOST_OBJECTS = 30
-MOST_SETS = 4096
-LEAST_PROB = 1e-6
+MAX_OBJECTS = 30
+MAX_SETS = 4096
+MIN_PROB = 1e-6
 """Likelihood of an object in each container open to search where the given ones say that it is nowhere."""
 
 
@@ -38,8 +41,14 @@ class PaperOptions(SearchOptions):
 class PaperPouct:
     """The paper's search planner; see the module."""
 
+    knows_contents = False
+
     def __init__(self, options: PaperOptions) -> None:
         self.options = options
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Compiles the kernels: one sample."""
+        PaperPouct(replace(self.options, samples=1)).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -52,7 +61,8 @@ class PaperPouct:
         if problem.automaton.accepting[problem.state] or not free:
             return Plan({index: Assignment(WAIT) for index in free})
         options = self.options
-        model, root, belief = prepare(problem)
+        model, root = paper_model(problem), root_belief(problem)
+        belief = blank_belief(problem)
         tree = empty_tree(options)
         kernel.decision_node(root, tree, NONE)
         rng = np.array([seed], dtype=np.uint64)
@@ -65,23 +75,26 @@ class PaperPouct:
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
-            tree_nodes=int(tree.size[0]),
+            tree_nodes=int(tree.size[NODES]),
             value_s=mean_cost_s(tree, _cheapest(tree, 0)),
             root=root_statistics(tree, lambda action: _assignment(action, objects)),
         )
         return Plan(_joint_action(problem, tree, free), info)
 
 
-def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBelief, kernel.PaperBelief]:
-    """The problem in the kernel's terms: the model, the root belief, and a belief to overwrite."""
-    containers, objects = problem.presence_prob.shape
-    if objects > MOST_OBJECTS:
-        raise ValueError(f"pouct_paper handles tasks of up to {MOST_OBJECTS} objects, this one has {objects}")
+def paper_model(problem: PlanningProblem) -> kernel.PaperModel:
+    """What does not change while planning, in the kernel's terms.
+
+    Raises:
+        ValueError: more task objects than the kernel's bit masks hold.
+    """
+    objects = problem.presence_prob.shape[1]
+    if objects > MAX_OBJECTS:
+        raise ValueError(f"pouct_paper handles tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     bits = 1 << np.arange(objects)
     away_s = np.array([robot.travel_s for robot in problem.robots])
-    ways_s = np.concatenate([problem.travel_s, away_s])
-    model = kernel.PaperModel(
+    return kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         away_s=away_s,
         prob=_search_prob(problem),
@@ -92,15 +105,20 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
-        penalty_s=float(containers * (ways_s[np.isfinite(ways_s)].max(initial=1.0) + problem.search_time_s)),
+        penalty_s=stuck_penalty_s(problem),
     )
+
+
+def root_belief(problem: PlanningProblem) -> kernel.PaperBelief:
+    """What the team knows and does now, in the kernel's terms."""
+    bits = 1 << np.arange(problem.presence_prob.shape[1])
     known = np.where(problem.presence_prob > 0, kernel.PRESENT, kernel.ABSENT)
     known[~problem.searched] = kernel.UNKNOWN
-    root = _blank_belief(containers, objects, len(problem.robots))
+    root = blank_belief(problem)
     root.known[:] = known
     root.searched[:] = problem.searched
-    root.state[0] = problem.state
-    root.state[1] = (problem.found() * bits).sum()
+    root.state[kernel.AUTOMATON] = problem.state
+    root.state[kernel.LOCATED] = (problem.found() * bits).sum()
     for index, robot in enumerate(problem.robots):
         root.place[index] = robot.place
         if robot.free:
@@ -112,7 +130,7 @@ def prepare(problem: PlanningProblem) -> tuple[kernel.PaperModel, kernel.PaperBe
             _put(root, index, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
         else:
             _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
-    return model, root, _blank_belief(containers, objects, len(problem.robots))
+    return root
 
 
 def _search_prob(problem: PlanningProblem) -> FloatArray:
@@ -121,14 +139,14 @@ def _search_prob(problem: PlanningProblem) -> FloatArray:
     unsearched = ~problem.searched & reachable
     prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
     nowhere = ~problem.found() & (prob == 0.0).all(axis=0)
-    return np.where(unsearched[:, None] & nowhere, LEAST_PROB, prob)
+    return np.where(unsearched[:, None] & nowhere, MIN_PROB, prob)
 
 
 def sufficient_sets(automaton: Automaton) -> kernel.I8:
     """[Z, S] for each state the minimal sets of objects (bit masks) along which advancing steps accept; padded by -1.
 
     Raises:
-        ValueError: more than `MOST_SETS` minimal sets for one state.
+        ValueError: more than `MAX_SETS` minimal sets for one state.
     """
     sets: list[set[int]] = [{0} if accepting else set() for accepting in automaton.accepting]
     changed = True
@@ -139,8 +157,8 @@ def sufficient_sets(automaton: Automaton) -> kernel.I8:
             for obj in np.flatnonzero(advancing):
                 grown |= {members | (1 << int(obj)) for members in sets[automaton.transitions[state, obj]]}
             minimal = {one for one in grown if not any(other != one and other & one == other for other in grown)}
-            if len(minimal) > MOST_SETS:
-                raise ValueError(f"more than {MOST_SETS} ways to complete the task; simplify the formula")
+            if len(minimal) > MAX_SETS:
+                raise ValueError(f"more than {MAX_SETS} ways to complete the task; simplify the formula")
             if minimal != sets[state]:
                 sets[state], changed = minimal, True
     table = np.full((len(sets), max(1, *map(len, sets))), NONE, dtype=np.int64)
@@ -157,7 +175,9 @@ def _put(root: kernel.PaperBelief, robot: int, place: int, obj: int, arrive_s: f
     root.done_s[robot] = arrive_s + problem.interact_time_s
 
 
-def _blank_belief(containers: int, objects: int, robots: int) -> kernel.PaperBelief:
+def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
+    """A belief of the problem's size, to be overwritten."""
+    (containers, objects), robots = problem.presence_prob.shape, len(problem.robots)
     return kernel.PaperBelief(
         clock=np.zeros(1),
         state=np.zeros(2, dtype=np.int64),

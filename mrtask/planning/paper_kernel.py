@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled, random_unit
-from mrtask.planning.tree import NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
+from mrtask.planning.tree import EDGES, NODES, NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -20,7 +20,9 @@ U8 = NDArray[np.uint64]
 
 WAIT = -1
 UNKNOWN, PRESENT, ABSENT = 0, 1, 2
-SMALLEST_PROB = 1e-12
+AUTOMATON, LOCATED = 0, 1
+"""Indices of `PaperBelief.state`."""
+NEGLIGIBLE_PROB = 1e-12
 """Below this the lower bound no longer follows what is improbable."""
 
 
@@ -44,7 +46,7 @@ class PaperBelief(NamedTuple):
     """One sample's team belief."""
 
     clock: F8  # [1]
-    state: I8  # [2] automaton state, mask of the objects known to be somewhere
+    state: I8  # [2] AUTOMATON state, mask of the LOCATED objects: known to be in some container
     known: U1  # [C, O] UNKNOWN, PRESENT or ABSENT
     searched: U1  # [C]
     place: I4  # [R] container a robot stands at or goes to, NONE at its starting place
@@ -66,8 +68,8 @@ class Scratch(NamedTuple):
 def copy_belief(source: PaperBelief, target: PaperBelief) -> None:
     """Overwrites target."""
     target.clock[0] = source.clock[0]
-    target.state[0] = source.state[0]
-    target.state[1] = source.state[1]
+    target.state[AUTOMATON] = source.state[AUTOMATON]
+    target.state[LOCATED] = source.state[LOCATED]
     for c in range(source.searched.size):
         target.searched[c] = source.searched[c]
         for o in range(source.known.shape[1]):
@@ -109,7 +111,7 @@ def act(model: PaperModel, belief: PaperBelief, r: int, action: int) -> None:
 def sample_outcome(model: PaperModel, belief: PaperBelief, rng: U8) -> int:
     """Draws one outcome of Algorithm 1; returns 2 * robot + (1 if found), or NONE if nobody acts."""
     robots = belief.place.size
-    z = belief.state[0]
+    z = belief.state[AUTOMATON]
     last_s, last_order = -np.inf, -1
     while True:
         # The next event after the last one, by time, then robot, then failure before success.
@@ -135,10 +137,10 @@ def sample_outcome(model: PaperModel, belief: PaperBelief, rng: U8) -> int:
             if belief.known[c, obj] == UNKNOWN:
                 belief.known[c, obj] = PRESENT if random_unit(rng) < model.prob[c, obj] else ABSENT
             if belief.known[c, obj] == PRESENT:
-                belief.state[1] |= 1 << obj
+                belief.state[LOCATED] |= 1 << obj
                 continue
         elif (model.advancing[z] >> obj) & 1:
-            belief.state[0] = model.transitions[z, obj]
+            belief.state[AUTOMATON] = model.transitions[z, obj]
         belief.clock[0] = max(belief.clock[0], event_s)
         belief.obj[r] = NONE
         return order
@@ -161,8 +163,8 @@ def _allowed(model: PaperModel, belief: PaperBelief, r: int, action: int) -> boo
     """
     objects = model.prob.shape[1]
     c, obj = action // objects, action % objects
-    z = belief.state[0]
-    located = belief.state[1]
+    z = belief.state[AUTOMATON]
+    located = belief.state[LOCATED]
     if (model.needed[z] >> obj) & 1 == 0 or belief.known[c, obj] == ABSENT:
         return False
     if (located >> obj) & 1 and belief.known[c, obj] != PRESENT:
@@ -183,10 +185,10 @@ def _allowed(model: PaperModel, belief: PaperBelief, r: int, action: int) -> boo
 def _next_action(model: PaperModel, belief: PaperBelief, tree: Tree, node: int) -> int:
     """The next action a node has not tried, or C * O once it has tried all."""
     actions = model.prob.size
-    action = tree.tried[node]
+    action = tree.next_untried[node]
     while action < actions and not _allowed(model, belief, tree.robot[node], action):
         action += 1
-    tree.tried[node] = action + 1
+    tree.next_untried[node] = action + 1
     return action
 
 
@@ -200,38 +202,50 @@ def _may_wait(belief: PaperBelief, r: int) -> bool:
 
 
 @compiled
-def lower_bound_s(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> float:
-    """The expected time to acceptance if the contents were told now and all objects were fetched at once.
-
-    Each object is worth the mean distance, over what may be where given that it exists, from its nearest container to
-    the nearest robot; a set of objects its farthest member; the task its cheapest sufficient set.
-    """
-    z = belief.state[0]
-    if model.accepting[z]:
-        return 0.0
-    containers = belief.searched.size
-    for c in range(containers):
+def _sort_by_distance(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> None:
+    """Fills ``nearest_s`` with each container's time from the nearest robot, and ``order`` by it (insertion sort)."""
+    for c in range(belief.searched.size):
         nearest_s = np.inf
         for r in range(belief.place.size):
             ready_s = 0.0 if belief.obj[r] == NONE else max(belief.arrive_s[r] - belief.clock[0], 0.0)
             nearest_s = min(nearest_s, ready_s + _distance_s(model, belief, r, c))
         scratch.nearest_s[c] = nearest_s
-        spot = c  # insertion sort of the containers by distance
+        spot = c
         while spot > 0 and scratch.nearest_s[scratch.order[spot - 1]] > nearest_s:
             scratch.order[spot] = scratch.order[spot - 1]
             spot -= 1
         scratch.order[spot] = c
+
+
+@compiled
+def _mean_distances(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> None:
+    """Fills ``mean_s`` with each object's mean time to its nearest container, given that it exists."""
+    containers = belief.searched.size
     for obj in range(model.prob.shape[1]):
         nowhere, mean_s = 1.0, 0.0
         for spot in range(containers):
             c = scratch.order[spot]
-            if nowhere < SMALLEST_PROB or scratch.nearest_s[c] == np.inf:
+            if nowhere < NEGLIGIBLE_PROB or scratch.nearest_s[c] == np.inf:
                 break
             if belief.known[c, obj] != ABSENT:
                 prob = 1.0 if belief.known[c, obj] == PRESENT else model.prob[c, obj]
                 mean_s += nowhere * prob * scratch.nearest_s[c]
                 nowhere *= 1.0 - prob
         scratch.mean_s[obj] = mean_s / (1.0 - nowhere) if nowhere < 1.0 else np.inf
+
+
+@compiled
+def lower_bound_s(model: PaperModel, belief: PaperBelief, scratch: Scratch) -> float:
+    """The expected time to acceptance if the contents were told now and all objects were fetched at once.
+
+    Each object is worth the mean distance, over what may be where given that it exists, from its nearest container to
+    the nearest robot; a set of objects its farthest member; the task its cheapest sufficient set.
+    """
+    z = belief.state[AUTOMATON]
+    if model.accepting[z]:
+        return 0.0
+    _sort_by_distance(model, belief, scratch)
+    _mean_distances(model, belief, scratch)
     best_s = np.inf
     for s in range(model.sufficient.shape[1]):
         members = model.sufficient[z, s]
@@ -260,7 +274,7 @@ def decision_node(belief: PaperBelief, tree: Tree, key: int) -> int:
 def _select(model: PaperModel, belief: PaperBelief, tree: Tree, node: int, exploration: float) -> int:
     """The edge to follow: an action not tried yet, else the best by UCB1; NONE if the robot can do nothing."""
     actions = model.prob.size
-    if tree.tried[node] <= actions and tree.size[1] < tree.action.size:
+    if tree.next_untried[node] <= actions and tree.size[EDGES] < tree.action.size:
         action = _next_action(model, belief, tree, node)
         if action < actions or _may_wait(belief, tree.robot[node]) or tree.first_edge[node] == NONE:
             return add_edge(tree, node, action if action < actions else WAIT)
@@ -308,7 +322,7 @@ def run_samples(
                 if key == NONE:
                     rest_s = model.penalty_s
                     break
-                if model.accepting[belief.state[0]]:
+                if model.accepting[belief.state[AUTOMATON]]:
                     break
                 for r in range(belief.place.size):  # finds on the way tell histories apart
                     if belief.obj[r] != NONE:
@@ -316,7 +330,7 @@ def run_samples(
                 _mark_undecided(belief)
             child = child_of(tree, edge, key)
             if child == NONE or depth == tree.path.size:
-                if child == NONE and tree.size[0] < tree.visits.size:
+                if child == NONE and tree.size[NODES] < tree.visits.size:
                     attach(tree, edge, decision_node(belief, tree, key))
                 rest_s = lower_bound_s(model, belief, scratch)
                 break

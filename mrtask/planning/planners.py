@@ -12,7 +12,7 @@ from mrtask.planning.greedy import Greedy
 from mrtask.planning.myopic import learned_myopic, nonlearned_myopic
 from mrtask.planning.paper import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Known, Pouct, PouctOptions
-from mrtask.planning.problem import Planner
+from mrtask.planning.problem import Planner, PlanOnly
 
 
 def pouct(**options: object) -> Planner:
@@ -66,9 +66,10 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
             "(package.module.name)"
         )
     try:
-        return factory(**(options or {}))
+        planner = factory(**(options or {}))
     except (TypeError, ValueError) as error:
         accepted = OPTIONS.get(name, factory)
         raise ValueError(
             f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(accepted)}"
         ) from error
+    return planner if isinstance(planner, Planner) else PlanOnly(planner.plan)

@@ -16,18 +16,19 @@ A tree kept for the next decision would hold 5 to 30 % of its samples, while ten
 lower costs by 0.2 %; for the same reason one decision is not spread over cores.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
-from mrtask.planning.greedy_kernel import Greedy
+from mrtask.planning.greedy_kernel import GreedyPolicy
 from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem
 from mrtask.planning.team import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.tree import (
+    NODES,
     NONE,
     SearchOptions,
     Tree,
@@ -69,8 +70,14 @@ class PouctOptions(SearchOptions):
 class Pouct:
     """The search planner; see the module and `PouctOptions`."""
 
+    knows_contents = False
+
     def __init__(self, options: PouctOptions) -> None:
         self.options = options
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Compiles the kernels: one sample."""
+        Pouct(replace(self.options, samples=1)).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -98,7 +105,7 @@ class Pouct:
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
-            tree_nodes=int(tree.size[0]),
+            tree_nodes=int(tree.size[NODES]),
             value_s=mean_cost_s(tree, best),
             root=root_statistics(tree, lambda action: _assignment(model, root, int(tree.robot[0]), action)),
         )
@@ -106,7 +113,7 @@ class Pouct:
 
 
 class Known(Pouct):
-    """The same search with the contents known: what uncertainty costs is the difference to it."""
+    """The same search with the contents known: the difference to it is what uncertainty costs."""
 
     knows_contents = True
 
@@ -121,10 +128,12 @@ def _assignment(model: Model, root: World, robot: int, action: int) -> Assignmen
 
 def _most_visited(tree: Tree, node: int) -> int:
     """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
-    return min(edges_of(tree, node), key=lambda edge: (-int(tree.tries[edge]), mean_cost_s(tree, edge)), default=NONE)
+    return min(
+        edges_of(tree, node), key=lambda edge: (-int(tree.edge_visits[edge]), mean_cost_s(tree, edge)), default=NONE
+    )
 
 
-def _joint_action(model: Model, root: World, tree: Tree, greedy: Greedy) -> dict[int, Assignment]:
+def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -> dict[int, Assignment]:
     """Follows the most visited edges through the robots to be decided now; greedy where the tree ends before them.
 
     The root world is used up.
@@ -143,8 +152,8 @@ def _is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
     """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
     node = 0
     for _ in range(deciders):
-        tries = [*sorted((int(tree.tries[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
-        if tries[0] - tries[1] <= samples_left:
+        visits = [*sorted((int(tree.edge_visits[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
+        if visits[0] - visits[1] <= samples_left:
             return False
         node = int(tree.first_child[_most_visited(tree, node)])
         if node == NONE:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled
-from mrtask.planning.greedy_kernel import Greedy, first_to_decide, next_action, rollout
+from mrtask.planning.greedy_kernel import GreedyPolicy, first_to_decide, next_action, rollout
 from mrtask.planning.team_kernel import (
     DECIDE,
+    HISTORY,
     STUCK,
     WAIT,
     Model,
@@ -23,7 +24,7 @@ from mrtask.planning.team_kernel import (
     copy_world,
     may_wait,
 )
-from mrtask.planning.tree import NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
+from mrtask.planning.tree import EDGES, NODES, NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
 
 U8 = NDArray[np.uint64]
 
@@ -40,13 +41,13 @@ class Search(NamedTuple):
 
 
 @compiled
-def decision_node(model: Model, world: World, tree: Tree, greedy: Greedy, key: int) -> int:
+def decision_node(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, key: int) -> int:
     """Adds a node for the undecided robot with the least score, so that first choices are the rollout's."""
     return add_node(tree, first_to_decide(model, world, greedy), key)
 
 
 @compiled
-def _mark_tried(tree: Tree, greedy: Greedy, node: int, mark: int) -> bool:
+def _mark_tried(tree: Tree, greedy: GreedyPolicy, node: int, mark: int) -> bool:
     """Sets ``greedy.skip`` for the actions a node has; whether waiting is among them."""
     waiting = False
     edge = tree.first_edge[node]
@@ -60,30 +61,30 @@ def _mark_tried(tree: Tree, greedy: Greedy, node: int, mark: int) -> bool:
 
 
 @compiled
-def _widen(model: Model, world: World, tree: Tree, greedy: Greedy, node: int) -> int:
+def _widen(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, node: int) -> int:
     """Adds the next action in greedy order to a node; NONE if it has them all or the tree is full."""
-    if tree.size[1] == tree.action.size:
+    if tree.size[EDGES] == tree.action.size:
         return NONE
     robot = tree.robot[node]
     waiting = _mark_tried(tree, greedy, node, 1)
     action = NONE
     wait_now = not waiting and may_wait(world, robot)
-    if not (wait_now and tree.tried[node] >= WAIT_RANK):
+    if not (wait_now and tree.next_untried[node] >= WAIT_RANK):
         action = next_action(model, world, greedy, robot)
     _mark_tried(tree, greedy, node, 0)
     if action == NONE:
-        if not wait_now and tree.tried[node] > 0:
+        if not wait_now and tree.next_untried[node] > 0:
             return NONE
         action = WAIT
-    tree.tried[node] += 1
+    tree.next_untried[node] += 1
     return add_edge(tree, node, action)
 
 
 @compiled
-def _select(model: Model, world: World, tree: Tree, greedy: Greedy, search: Search, node: int) -> int:
+def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, node: int) -> int:
     """The edge to follow: a new one while the node is too narrow for its visits, else the best by UCB1."""
     width = search.widening_factor * tree.visits[node] ** search.widening_exponent
-    if tree.tried[node] == 0 or tree.tried[node] < width:
+    if tree.next_untried[node] == 0 or tree.next_untried[node] < width:
         edge = _widen(model, world, tree, greedy, node)
         if edge != NONE:
             return edge
@@ -92,7 +93,7 @@ def _select(model: Model, world: World, tree: Tree, greedy: Greedy, search: Sear
 
 @compiled
 def run_samples(
-    model: Model, root: World, world: World, tree: Tree, greedy: Greedy, search: Search, rng: U8, samples: int
+    model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: U8, samples: int
 ) -> None:
     """Runs samples from the root, whose node 0 must exist; ``world`` is overwritten.
 
@@ -112,14 +113,14 @@ def run_samples(
             act(model, world, tree.robot[node], tree.action[edge])
             key = 0
             if not any_undecided(world):
-                world.state[2] = 0
+                world.state[HISTORY] = 0
                 outcome = advance(model, world, rng)
                 if outcome != DECIDE:
                     break
-                key = world.state[2]
+                key = world.state[HISTORY]
             child = child_of(tree, edge, key)
             if child == NONE or depth == tree.path.size:
-                if child == NONE and tree.size[0] < tree.visits.size:
+                if child == NONE and tree.size[NODES] < tree.visits.size:
                     attach(tree, edge, decision_node(model, world, tree, greedy, key))
                 outcome = rollout(model, world, greedy, rng)
                 break

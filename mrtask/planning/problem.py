@@ -5,8 +5,9 @@ probability that the object is there. The truth is not part of it. Legend for ar
 O task objects, Z automaton states.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,12 +127,32 @@ class Plan:
     info: PlanInfo = field(default_factory=PlanInfo)
 
 
+@runtime_checkable
 class Planner(Protocol):
     """Decides who goes where next."""
+
+    knows_contents: bool
+    """Whether the planner sees the true contents from the start, as a reference for what uncertainty costs."""
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Does once what would slow the first plan down: compiles kernels."""
+        ...
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Assigns all free robots and, where the problem allows it, any robot under way; equal input, equal plan."""
         ...
+
+
+class PlanOnly:
+    """A planner of a user's own that has nothing but `plan`, as a `Planner`."""
+
+    knows_contents = False
+
+    def __init__(self, plan: Callable[[PlanningProblem, int], Plan]) -> None:
+        self.plan = plan
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Nothing is known of what it may compile."""
 
 
 def safe(automaton: Automaton) -> BoolArray:

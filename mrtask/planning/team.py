@@ -5,9 +5,9 @@ import numpy as np
 from mrtask.planning import team_kernel as kernel
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, needed, safe
 
-SMALLEST_PROB = 1e-6
+MIN_PROB = 1e-6
 """Likelihoods of 0 and 1 move this far inside: a container that should hold nothing is searched last, not never."""
-MOST_OBJECTS = 30
+MAX_OBJECTS = 30
 
 
 def team_model(problem: PlanningProblem) -> kernel.Model:
@@ -16,14 +16,13 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
     Raises:
         ValueError: more task objects than the kernel's bit masks hold.
     """
-    containers, objects = problem.presence_prob.shape
-    if objects > MOST_OBJECTS:
-        raise ValueError(f"planners by search handle tasks of up to {MOST_OBJECTS} objects, this one has {objects}")
+    objects = problem.presence_prob.shape[1]
+    if objects > MAX_OBJECTS:
+        raise ValueError(f"planners by search handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     reachable = np.isfinite(np.array([robot.travel_s for robot in problem.robots])).any(axis=0)
-    prob = np.clip(problem.presence_prob, SMALLEST_PROB, 1.0 - SMALLEST_PROB)
+    prob = np.clip(problem.presence_prob, MIN_PROB, 1.0 - MIN_PROB)
     prob[~reachable] = 0.0
-    finite_s = problem.travel_s[np.isfinite(problem.travel_s)]
     return kernel.Model(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         prob=prob,
@@ -35,8 +34,15 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
         steps=automaton.steps_to_accept.astype(np.int32),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
-        penalty_s=float(containers * (finite_s.max(initial=1.0) + problem.search_time_s)),
+        penalty_s=stuck_penalty_s(problem),
     )
+
+
+def stuck_penalty_s(problem: PlanningProblem) -> float:
+    """What a sample that cannot finish the task costs more: the time to visit all containers one by one, at least."""
+    ways_s = np.concatenate([problem.travel_s, [robot.travel_s for robot in problem.robots]])
+    longest_s = ways_s[np.isfinite(ways_s)].max(initial=1.0)
+    return float(len(problem.searched) * (longest_s + problem.search_time_s))
 
 
 def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool) -> kernel.World:
@@ -45,8 +51,8 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
     root.searched[:] = problem.searched
     root.holds[:] = np.where(problem.searched, _masks(problem.presence_prob > 0), 0)
     root.nowhere[:] = np.prod(np.where(problem.searched[:, None], 1.0, 1.0 - model.prob), axis=0)
-    root.state[0] = problem.state
-    root.state[1] = np.bitwise_or.reduce(root.holds)
+    root.state[kernel.AUTOMATON] = problem.state
+    root.state[kernel.FOUND] = np.bitwise_or.reduce(root.holds)
     for index, robot in enumerate(problem.robots):
         root.place[index], root.want[index], root.until_s[index] = robot.place, robot.interaction, np.inf
         root.origin[index] = robot.place

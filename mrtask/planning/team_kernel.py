@@ -24,6 +24,8 @@ DECIDE, DONE, STUCK = 0, 1, 2
 WAIT = -1
 NONE = -1
 SAME_INSTANT_S = 1e-9
+AUTOMATON, FOUND, HISTORY, NEWS = 0, 1, 2, 3
+"""Indices of `World.state`."""
 
 
 class Model(NamedTuple):
@@ -46,7 +48,7 @@ class World(NamedTuple):
     """One sample's state; the root's is kept aside and copied."""
 
     clock: F8  # [1] seconds since the root
-    state: I8  # [4] automaton state, mask of found objects, hash of what was revealed, 1 if there was news
+    state: I8  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of what was revealed, NEWS 1 if there was any
     searched: U1  # [C]
     holds: I8  # [C] mask of the objects known to be in searched containers
     targeted: I4  # [C] robots on the way to a container or busy there
@@ -146,7 +148,7 @@ def act(model: Model, world: World, r: int, action: int) -> None:
 @compiled
 def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
     """Draws what a container holds, given all that was seen and that every object still needed exists somewhere."""
-    z, found = world.state[0], world.state[1]
+    z, found = world.state[AUTOMATON], world.state[FOUND]
     held = 0
     for o in range(model.prob.shape[1]):
         if (model.needed[z] >> o) & 1:
@@ -158,15 +160,15 @@ def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
     world.searched[c] = 1
     world.holds[c] = held
     if held & ~found:
-        world.state[3] = 1
-    world.state[1] = found | held
-    world.state[2] = (world.state[2] * 31 + 1) * 1048583 + (held + 1) * 64 + c
+        world.state[NEWS] = 1
+    world.state[FOUND] = found | held
+    world.state[HISTORY] = (world.state[HISTORY] * 31 + 1) * 1048583 + (held + 1) * 64 + c
 
 
 @compiled
 def _begin_interaction(model: Model, world: World, r: int) -> bool:
     """Starts the interaction that a robot's action allows where it stands; the one nearest to acceptance."""
-    z = world.state[0]
+    z = world.state[AUTOMATON]
     here = world.holds[world.place[r]]
     if world.want[r] == NONE:
         here &= model.safe[z]
@@ -210,10 +212,10 @@ def _finish_event(model: Model, world: World, rng: U8, r: int) -> bool:
         if world.searched[world.place[r]] == 0:
             _reveal(model, world, rng, world.place[r])
     elif world.mode[r] == INTERACTING:
-        z, obj = world.state[0], world.doing[r]
+        z, obj = world.state[AUTOMATON], world.doing[r]
         if (model.advancing[z] >> obj) & 1:
-            world.state[0] = model.transitions[z, obj]
-            world.state[3] = 1
+            world.state[AUTOMATON] = model.transitions[z, obj]
+            world.state[NEWS] = 1
         if world.want[r] != NONE:
             world.want[r] = NONE
             _release(world, r)
@@ -228,7 +230,7 @@ def _finish_event(model: Model, world: World, rng: U8, r: int) -> bool:
 def advance(model: Model, world: World, rng: U8) -> int:
     """Lets time run to the next decision instant: DECIDE with `undecided` set, DONE, or STUCK."""
     robots = world.mode.size
-    world.state[3] = 0
+    world.state[NEWS] = 0
     freed = False
     while True:
         due = 0
@@ -242,11 +244,11 @@ def advance(model: Model, world: World, rng: U8) -> int:
         if freed and world.until_s[due] > world.clock[0] + SAME_INSTANT_S:
             break
         world.clock[0] = max(world.clock[0], world.until_s[due])
-        z = world.state[0]
+        z = world.state[AUTOMATON]
         if _finish_event(model, world, rng, due):
             freed = True
-        if world.state[0] != z:
-            if model.accepting[world.state[0]]:
+        if world.state[AUTOMATON] != z:
+            if model.accepting[world.state[AUTOMATON]]:
                 return DONE
             for r in range(robots):  # robots waiting at an object whose time has come
                 if world.mode[r] == FREE and world.place[r] != NONE and world.searched[world.place[r]]:
@@ -256,7 +258,7 @@ def advance(model: Model, world: World, rng: U8) -> int:
     for r in range(robots):
         if world.mode[r] == FREE:
             world.undecided[r] = 1
-        elif world.mode[r] == MOVING and world.state[3]:
+        elif world.mode[r] == MOVING and world.state[NEWS]:
             reconsider(world, r)
     return DECIDE
 

@@ -24,7 +24,11 @@ I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
 
 NONE = -1
-DEEPEST_PATH = 4096
+NODES, EDGES = 0, 1
+"""Indices of `Tree.size`."""
+COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
+"""Indices of `Tree.moments`: Welford's running sums, and the largest standard deviation so far."""
+MAX_PATH = 4096
 """Decisions in one sample that the tree follows at most."""
 BATCH_SAMPLES = 512
 """Samples between two looks at the clock and at whether the choice is settled."""
@@ -56,21 +60,21 @@ class SearchOptions:
 class Tree(NamedTuple):
     """The arrays of a search, allocated once per plan."""
 
-    size: I8  # [2] nodes, edges in use
+    size: I8  # [2] NODES and EDGES in use
     visits: I4  # [M]
     robot: I4  # [M]
     first_edge: I4  # [M] newest edge of a node
-    tried: I4  # [M] how far a node has come through its actions, in its planner's terms
+    next_untried: I4  # [M] a node's next action, by its planner's order, that it has not tried
     key: I8  # [M] what was observed on the way from the parent's edge
     sibling: I4  # [M] next child of the same edge
     action: I4  # [M] of an edge, in its planner's terms
     next_edge: I4  # [M] next older edge of the same node
     first_child: I4  # [M]
-    tries: I4  # [M] samples through an edge
+    edge_visits: I4  # [M] samples through an edge
     total_s: F8  # [M] their summed costs
     squares: F8  # [M] their summed squared costs
-    path: I4  # [DEEPEST_PATH] edges of the sample under way
-    moments: F8  # [4] number, mean, summed squared deviation (Welford) of all costs, largest standard deviation so far
+    path: I4  # [MAX_PATH] edges of the sample under way
+    moments: F8  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
 
 def empty_tree(options: SearchOptions) -> Tree:
@@ -85,16 +89,16 @@ def empty_tree(options: SearchOptions) -> Tree:
         visits=integers(),
         robot=integers(),
         first_edge=integers(),
-        tried=integers(),
+        next_untried=integers(),
         key=np.empty(nodes, dtype=np.int64),
         sibling=integers(),
         action=integers(),
         next_edge=integers(),
         first_child=integers(),
-        tries=integers(),
+        edge_visits=integers(),
         total_s=np.empty(nodes),
         squares=np.empty(nodes),
-        path=np.empty(DEEPEST_PATH, dtype=np.int32),
+        path=np.empty(MAX_PATH, dtype=np.int32),
         moments=np.zeros(4),
     )
 
@@ -116,12 +120,12 @@ def run_search(
 @compiled
 def add_node(tree: Tree, robot: int, key: int) -> int:
     """A new node for a robot's decision."""
-    node = tree.size[0]
-    tree.size[0] = node + 1
+    node = tree.size[NODES]
+    tree.size[NODES] = node + 1
     tree.visits[node] = 0
     tree.robot[node] = robot
     tree.first_edge[node] = NONE
-    tree.tried[node] = 0
+    tree.next_untried[node] = 0
     tree.key[node] = key
     tree.sibling[node] = NONE
     return node
@@ -130,12 +134,12 @@ def add_node(tree: Tree, robot: int, key: int) -> int:
 @compiled
 def add_edge(tree: Tree, node: int, action: int) -> int:
     """A new action of a node."""
-    edge = tree.size[1]
-    tree.size[1] = edge + 1
+    edge = tree.size[EDGES]
+    tree.size[EDGES] = edge + 1
     tree.action[edge] = action
     tree.next_edge[edge] = tree.first_edge[node]
     tree.first_child[edge] = NONE
-    tree.tries[edge] = 0
+    tree.edge_visits[edge] = 0
     tree.total_s[edge] = 0.0
     tree.squares[edge] = 0.0
     tree.first_edge[node] = edge
@@ -170,13 +174,13 @@ def least_bound(tree: Tree, node: int, exploration: float) -> int:
     The scale of costs is their largest standard deviation so far. The present one would fall while the search settles
     on one action, faster than the logarithm grows, and end exploration for good.
     """
-    spread_s = tree.moments[3] if tree.moments[0] > 1 else 1.0
+    spread_s = tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
     log_visits = np.log(tree.visits[node] + 1.0)
     best, best_bound = NONE, np.inf
     edge = tree.first_edge[node]
     while edge != NONE:
-        tries = tree.tries[edge]
-        bound = tree.total_s[edge] / tries - exploration * spread_s * np.sqrt(log_visits / tries)
+        visits = tree.edge_visits[edge]
+        bound = tree.total_s[edge] / visits - exploration * spread_s * np.sqrt(log_visits / visits)
         if bound < best_bound:
             best, best_bound = edge, bound
         edge = tree.next_edge[edge]
@@ -187,14 +191,14 @@ def least_bound(tree: Tree, node: int, exploration: float) -> int:
 def back_up(tree: Tree, depth: int, cost_s: float) -> None:
     """Adds a sample's cost to the ``depth`` edges of its path."""
     moments = tree.moments
-    moments[0] += 1
-    delta = cost_s - moments[1]
-    moments[1] += delta / moments[0]
-    moments[2] += delta * (cost_s - moments[1])
-    moments[3] = max(moments[3], np.sqrt(moments[2] / moments[0]))
+    moments[COUNT] += 1
+    delta = cost_s - moments[MEAN]
+    moments[MEAN] += delta / moments[COUNT]
+    moments[SQUARES] += delta * (cost_s - moments[MEAN])
+    moments[MAX_SPREAD] = max(moments[MAX_SPREAD], np.sqrt(moments[SQUARES] / moments[COUNT]))
     for step in range(depth):
         edge = tree.path[step]
-        tree.tries[edge] += 1
+        tree.edge_visits[edge] += 1
         tree.total_s[edge] += cost_s
         tree.squares[edge] += cost_s * cost_s
 
@@ -210,7 +214,7 @@ def edges_of(tree: Tree, node: int) -> list[int]:
 
 def mean_cost_s(tree: Tree, edge: int) -> float:
     """The mean cost of the samples through an edge."""
-    return float(tree.total_s[edge] / tree.tries[edge])
+    return float(tree.total_s[edge] / tree.edge_visits[edge])
 
 
 def root_statistics(
@@ -218,8 +222,8 @@ def root_statistics(
 ) -> tuple[tuple[Assignment, int, float, float], ...]:
     """`PlanInfo.root`; ``assignment`` says what an action means."""
     rows = []
-    for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.tries[edge]):
+    for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.edge_visits[edge]):
         mean_s = mean_cost_s(tree, edge)
-        variance = max(float(tree.squares[edge] / tree.tries[edge]) - mean_s**2, 0.0)
-        rows.append((assignment(int(tree.action[edge])), int(tree.tries[edge]), mean_s, math.sqrt(variance)))
+        variance = max(float(tree.squares[edge] / tree.edge_visits[edge]) - mean_s**2, 0.0)
+        rows.append((assignment(int(tree.action[edge])), int(tree.edge_visits[edge]), mean_s, math.sqrt(variance)))
     return tuple(rows)

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mrtask.execution.team import RobotSpec
+from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import build_table
 from pipeline import homes
@@ -70,14 +72,12 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
         table=build_table(model.model, unseen, objects),
         maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir),
         seed=config.seed,
-        trial_options={
-            "templates": options.templates,
-            "formula": options.formula,
-            "formula_objects": objects,
-            "speed_m_per_s": options.speed_m_per_s,
-            "search_time_s": options.search_time_s,
-            "interact_time_s": options.interact_time_s,
-        },
+        trials=TrialOptions(
+            templates=options.templates,
+            formula=options.formula,
+            formula_objects=objects,
+            robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+        ),
         planner_options={name: config.planner_options(name) for name in options.planners},
         provenance={
             "model_version": model.version,

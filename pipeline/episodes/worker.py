@@ -12,8 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mrtask.execution.episode import EpisodeResult, run_episode
-from mrtask.execution.trials import Trial, home_order, sample_trial, trial_id
+from mrtask.execution.episode import EpisodeResult, run_episode, warm_up
+from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
@@ -60,8 +60,7 @@ class Context:
     table: LikelihoodTable
     maps: MapOptions
     seed: int
-    trial_options: Mapping[str, Any]
-    """Keywords of `sample_trial`: templates, formula, speed, search and interact times."""
+    trials: TrialOptions
     planner_options: Mapping[str, Mapping[str, Any]]
     provenance: Mapping[str, str]
     """The row's ``model_version``, ``config_hash`` and ``code_version``."""
@@ -101,22 +100,13 @@ def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
-    """Compiles what the planner needs: one decision from the fewest samples."""
+    """Compiles what the planner needs."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
-    options = dict(context.planner_options.get(key.planner, {}))
-    if "samples" in options:
-        options["samples"] = 1
+    options = context.planner_options.get(key.planner, {})
     likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
-    run_episode(
-        trial,
-        bench.homes[trial.home_id],
-        bench.map_of(trial.home_id),
-        likelihood,
-        key.planner,
-        options,
-        max_decisions=1,
-    )
+    home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
+    warm_up(trial, home, home_map, likelihood, key.planner, options)
 
 
 def failed_row(key: EpisodeKey, context: Context, status: str, error: str) -> dict[str, Any]:
@@ -155,7 +145,7 @@ class _Bench:
             order,
             lambda home: map_of(home.id),
             seed=context.seed,
-            **context.trial_options,
+            options=context.trials,
         )
 
 
@@ -170,7 +160,7 @@ def _row(key: EpisodeKey, trial: Trial, home: Home, result: EpisodeResult, conte
         "home_id": home.id,
         "home_source": home.source,
         "size_class": trial.size_class,
-        "robots": trial.robots,
+        "robots": trial.team.robots,
         "template": trial.template,
         "formula": trial.formula,
         "objects": list(trial.objects),

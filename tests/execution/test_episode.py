@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mrtask.execution.episode import run_episode
+from mrtask.execution.team import RobotSpec, Team
 from mrtask.execution.trace import Trace
-from mrtask.execution.trials import home_order, sample_trial
+from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
 from mrtask.planning.planners import PLANNERS
 from mrtask.tasks.templates import TEMPLATES
@@ -29,7 +30,7 @@ def make_trial(world, size_class, robots, number, **options):
         home_order(homes, size_class, robots, 0),
         lambda home: maps[home.id],
         seed=0,
-        **options,
+        options=TrialOptions(**options),
     )
     home = next(home for home in homes if home.id == trial.home_id)
     likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
@@ -48,10 +49,8 @@ def test_traces_obey_the_world(world, planner, template, robots):
             size_class,
             robots,
             number,
-            templates=[template],
-            search_time_s=search_s,
-            interact_time_s=interact_s,
-            speed_m_per_s=0.7,
+            templates=(template,),
+            robot=RobotSpec(0.7, search_s, interact_s),
         )
         result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
         assert result.status == "accepted"
@@ -76,7 +75,7 @@ def test_the_check_catches_a_teleporting_robot(world):
 def test_the_check_catches_a_robot_that_is_too_fast(world):
     trial, home, home_map, likelihood = make_trial(world, "medium", 2, 0)
     result = run_episode(trial, home, home_map, likelihood, "greedy")
-    slower = replace(trial, speed_m_per_s=0.99 * trial.speed_m_per_s)
+    slower = replace(trial, team=Team(2, RobotSpec(0.99 * trial.team.spec.speed_m_per_s)))
     with pytest.raises(AssertionError, match="faster than the robot"):
         check_trace(slower, home, home_map, result)
 

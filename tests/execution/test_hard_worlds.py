@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mrtask.execution.episode import run_episode
+from mrtask.execution.team import RobotSpec, Team
 from mrtask.execution.trials import Trial
 from mrtask.planning.planners import PLANNERS
 
@@ -23,13 +24,12 @@ def run(two_room_home, two_room_map):
             trial_id="hard",
             home_id=two_room_home.id,
             size_class="small",
-            robots=robots,
+            team=Team(robots, RobotSpec(**options)),
             template="formula",
             formula=formula,
             objects=("Egg", "Pillow"),
             start_cell=tuple(int(part) for part in two_room_map.access[TABLE]),
             seed=1,
-            **options,
         )
         return run_episode(
             trial, two_room_home, home_map, np.broadcast_to(likelihood, (3, 2)), planner, OPTIONS.get(planner)

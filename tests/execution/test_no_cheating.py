@@ -14,6 +14,7 @@ import pytest
 
 from mrtask.execution import episode
 from mrtask.execution.simulation import Simulation
+from mrtask.execution.team import RobotSpec, Team
 from mrtask.execution.trials import home_order, sample_trial
 from mrtask.homes.home import Container, Home
 from mrtask.maps.home_map import build_map
@@ -56,6 +57,8 @@ class GuardedSimulation(Simulation):
 
 class Watched:
     """A planner whose every plan is checked; ``checked`` counts those for which the second world differed."""
+
+    knows_contents = False
 
     def __init__(self, planner, simulations):
         self.planner, self.simulations, self.checked = planner, simulations, 0
@@ -121,7 +124,7 @@ def trials(generated_homes):
     for number, robots in enumerate((1, 2, 3)):
         order = home_order(generated_homes, "medium", robots, 0)
         trial = sample_trial("medium", robots, number, order, lambda home: maps[home.id], seed=0)
-        trial = replace(trial, search_time_s=float(number), interact_time_s=float(number))
+        trial = replace(trial, team=Team(robots, RobotSpec(1.0, float(number), float(number))))
         home = next(home for home in generated_homes if home.id == trial.home_id)
         likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
         result.append((trial, home, maps[home.id], likelihood))

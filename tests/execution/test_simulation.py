@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from mrtask.execution.simulation import Simulation, serving_order
+from mrtask.execution.team import RobotSpec, Team
 from mrtask.planning.problem import WAIT, Assignment
 from mrtask.tasks.automaton import build_automaton
 
@@ -12,8 +13,9 @@ def simulate(home, home_map, formula="(!Pillow U Egg) & F Pillow", known=False, 
     automaton = build_automaton(formula, ["Egg", "Pillow"])
     truth = np.array([[name in container.objects for name in automaton.propositions] for container in home.containers])
     start = tuple(int(part) for part in home_map.access[TABLE])
+    team = Team(2, RobotSpec(**times))
     return Simulation(
-        home, home_map, automaton, np.full(truth.shape, 0.2), truth, robots=2, start_cell=start, known=known, **times
+        home, home_map, automaton, np.full(truth.shape, 0.2), truth, team=team, start_cell=start, known=known
     )
 
 

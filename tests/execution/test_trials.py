@@ -1,6 +1,6 @@
 import pytest
 
-from mrtask.execution.trials import home_order, sample_trial
+from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
 
 
@@ -34,13 +34,23 @@ def test_objects_are_distinct_and_reachable(generated_homes, maps):
 
 def test_a_cell_takes_all_homes_of_its_class_before_one_twice(generated_homes, maps):
     order = home_order(generated_homes, "small", 1, seed=0)
+    and2 = TrialOptions(("and2",))
     taken = [
-        sample_trial("small", 1, number, order, lambda home: maps[home.id], seed=0, templates=["and2"]).home_id
+        sample_trial(
+            "small",
+            1,
+            number,
+            order,
+            lambda home: maps[home.id],
+            seed=0,
+            options=and2,
+        ).home_id
         for number in range(len(order))
     ]
     assert sorted(taken) == sorted(home.id for home in order)
 
 
 def test_homes_without_enough_objects_are_refused_with_the_remedy(two_room_home, two_room_map):
+    or_seq = TrialOptions(("or_seq",))
     with pytest.raises(ValueError, match=r"no small home has enough distinct .* give other evaluation homes"):
-        sample_trial("small", 1, 0, [two_room_home], lambda home: two_room_map, seed=0, templates=["or_seq"])
+        sample_trial("small", 1, 0, [two_room_home], lambda home: two_room_map, seed=0, options=or_seq)

@@ -33,7 +33,7 @@ def check_trace(trial, home, home_map, result, *, known=False):
     }
     contents = {container.id: container.objects for container in home.containers}
     free_cells = cKDTree([home_map.cell_center(tuple(cell)) for cell in np.argwhere(home_map.free)])
-    assert len(trace.robots) == trial.robots
+    assert len(trace.robots) == trial.team.robots
     assert dist(trace.start, home_map.cell_center(trial.start_cell)) < TOLERANCE
     ends = [leg.t1_s for legs in trace.robots for leg in legs]
     for legs in trace.robots:
@@ -47,7 +47,7 @@ def check_trace(trial, home, home_map, result, *, known=False):
             if leg.kind == "interact" and abs(leg.t1_s - letter.t_s) < TOLERANCE and leg.object == letter.object
         ]
         assert standing and standing[0].container == letter.container, "no interaction leg for the letter"
-        assert abs(standing[0].t1_s - standing[0].t0_s - trial.interact_time_s) < TOLERANCE
+        assert abs(standing[0].t1_s - standing[0].t0_s - trial.team.spec.interact_time_s) < TOLERANCE
         if not known:
             assert any(
                 leg.container == letter.container and leg.t1_s <= standing[0].t0_s + TOLERANCE for leg in searches
@@ -72,13 +72,13 @@ def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
         assert leg.t1_s >= leg.t0_s
         assert dist(leg.path[0], place) < TOLERANCE, "position not continuous"
         length_m = sum(dist(*ends) for ends in pairwise(leg.path))
-        assert length_m <= trial.speed_m_per_s * (leg.t1_s - leg.t0_s) + 1e-5, "faster than the robot"
+        assert length_m <= trial.team.spec.speed_m_per_s * (leg.t1_s - leg.t0_s) + 1e-5, "faster than the robot"
         if leg.kind != "move":
             assert len(leg.path) == 1, "only moves have a way"
         if leg.kind in ("search", "interact"):
             assert dist(leg.path[0], access[leg.container]) < TOLERANCE, "not at the container"
         if leg.kind == "search":
-            short_s = trial.search_time_s - (leg.t1_s - leg.t0_s)
+            short_s = trial.team.spec.search_time_s - (leg.t1_s - leg.t0_s)
             cut_off = short_s > 0 and abs(leg.t1_s - end_s) < TOLERANCE
             assert cut_off or abs(short_s) < TOLERANCE, "a search of another length"
         points = [

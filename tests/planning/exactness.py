@@ -13,9 +13,9 @@ import time
 
 import numpy as np
 
-from mrtask.planning import paper
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import ANY_SAFE, WAIT
+from mrtask.planning.team import stuck_penalty_s
 from tests.planning.exact_paper_solver import ExactPaperSolver
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import tiny_problem
@@ -31,7 +31,7 @@ OPTIONS = {
 def exact_solver(name, problem):
     """The solver of a planner's own abstraction."""
     if name == "pouct_paper":
-        return ExactPaperSolver(problem, paper.prepare(problem)[0].penalty_s)
+        return ExactPaperSolver(problem, stuck_penalty_s(problem))
     return ExactSolver(problem, problem.presence_prob)
 
 

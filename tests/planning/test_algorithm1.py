@@ -5,7 +5,7 @@ from math import prod
 import numpy as np
 import pytest
 
-from mrtask.planning.paper import prepare, sufficient_sets
+from mrtask.planning.paper import blank_belief, paper_model, root_belief, sufficient_sets
 from mrtask.planning.paper_kernel import NONE, PRESENT, copy_belief, sample_outcome
 from mrtask.tasks.automaton import build_automaton
 from tests.planning.algorithm1 import RobotAction, TeamBelief, advance_belief_until_robot_free
@@ -106,7 +106,7 @@ def test_a_team_that_only_waits_is_refused():
 def test_the_kernel_draws_algorithm_1s_outcomes(seed):
     team, automaton, likelihood = random_team(seed, robots=3, containers=4)
     problem = random_problem(0, template="and3", robots=3, containers=4)
-    model, root, scratch = prepare(problem)
+    model, root, scratch = paper_model(problem), root_belief(problem), blank_belief(problem)
     model = model._replace(
         prob=np.array([[likelihood[c, o] for o in range(3)] for c in range(4)]),
         transitions=automaton.transitions.astype(np.int32),

@@ -79,7 +79,7 @@ def assert_equal(compiled, belief):
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_random_plays_are_equal_step_by_step(problem):
     objects = problem.presence_prob.shape[1]
-    model, root, compiled = paper.prepare(problem)
+    model, root, compiled = paper.paper_model(problem), paper.root_belief(problem), paper.blank_belief(problem)
     scratch = scratch_of(model)
     choice = np.random.default_rng(1)
     for seed in range(10):
@@ -118,7 +118,7 @@ def assert_equal_trees(tree, index, node, objects):
     assert len(edges) == len(node.edges)
     for edge, twin in zip(edges, node.edges, strict=True):
         assert tree.action[edge] == (WAIT if twin.action == WAIT else twin.action[0] * objects + twin.action[1])
-        assert (tree.tries[edge], tree.total_s[edge]) == (twin.tries, twin.total_s)
+        assert (tree.edge_visits[edge], tree.total_s[edge]) == (twin.tries, twin.total_s)
         child = tree.first_child[edge]
         for twin_child in twin.children:
             assert tree.key[child] == encoded(twin_child.label)
@@ -142,7 +142,7 @@ def encoded(label):
 def test_searches_grow_the_same_tree(problem, samples, limit):
     twin = NaivePaperSearch(problem, exploration=0.7, limit=limit, seed=5)
     twin.run(samples)
-    model, root, belief = paper.prepare(problem)
+    model, root, belief = paper.paper_model(problem), paper.root_belief(problem), paper.blank_belief(problem)
     tree = empty_tree(SearchOptions(samples=samples, max_nodes=limit))
     kernel.decision_node(root, tree, kernel.NONE)
     rng = np.array([5], dtype=np.uint64)

@@ -1,0 +1,31 @@
+"""What the robots of a team are like."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """How fast a robot drives, searches and interacts."""
+
+    speed_m_per_s: float = 1.0
+    search_time_s: float = 0.0
+    interact_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.speed_m_per_s <= 0:
+            raise ValueError(f"speed_m_per_s must be > 0, not {self.speed_m_per_s}")
+        for name in ("search_time_s", "interact_time_s"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must be >= 0, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class Team:
+    """So many robots, all alike."""
+
+    robots: int
+    spec: RobotSpec = field(default_factory=RobotSpec)
+
+    def __post_init__(self) -> None:
+        if self.robots < 1:
+            raise ValueError(f"a team needs at least one robot, not {self.robots}")
