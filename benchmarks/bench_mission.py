@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from mrtask.analysis.statistics import compare
 from mrtask.execution.episode import run_episode
 from mrtask.execution.trials import Trial, home_order, sample_trial
+from mrtask.files import default_cache_dir
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import read_houses
-from mrtask.likelihood.embeddings import default_cache_dir
 from mrtask.likelihood.network import PAPER_LAYERS, NetworkOptions
 from mrtask.likelihood.table import LikelihoodTable, build_table
 from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, fit

@@ -24,6 +24,7 @@ import psutil
 from ray.cluster_utils import Cluster as SimulatedCluster
 
 from mrtask.execution.trials import TrialOptions
+from mrtask.files import default_cache_dir
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import parse_house
@@ -33,7 +34,6 @@ from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
 from pipeline.base.config import Cluster
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, run_one, warm
-from pipeline.store.cache import default_cache_dir
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12

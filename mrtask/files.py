@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the hash by which a file is recognised."""
+"""Files that appear whole or not at all, the hash by which a file is recognised, and where the user's cache is."""
 
 import hashlib
 import os
@@ -28,3 +28,9 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def default_cache_dir() -> Path:
+    """``$MRTASK_CACHE_DIR``, else ``mrtask`` in the user's cache folder."""
+    given = os.environ.get("MRTASK_CACHE_DIR")
+    return Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrtask"

@@ -7,8 +7,8 @@ a function that a cached kernel calls was edited in another file.
 import os
 import sys
 
+from mrtask.files import default_cache_dir
 from pipeline.base import interrupt
-from pipeline.store.cache import default_cache_dir
 from pipeline.store.version import source_hash
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / source_hash("mrtask")))

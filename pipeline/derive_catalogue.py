@@ -22,7 +22,7 @@ from shapely.geometry import LineString, Point, Polygon
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, is_larger
 from mrtask.homes.home import SIZE_CLASSES, size_class_of
 from mrtask.homes.procthor import ON_FLOOR_BELOW_M, load_asset_types, rotated_rectangle
-from pipeline.store.version import ROOT
+from mrtask.sources import ROOT
 
 CATALOGUE = ROOT / "mrtask" / "homes" / "catalogue.yaml"
 MIN_CELL_M, MAX_CELL_M = 1.6, 2.2

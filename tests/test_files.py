@@ -1,11 +1,12 @@
-"""Atomic writes and file hashes."""
+"""Atomic writes, file hashes and the place of the cache."""
 
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
-from mrtask.files import replacing, sha256_of
+from mrtask.files import default_cache_dir, replacing, sha256_of
 
 
 def test_the_file_appears_at_the_end_of_the_block(tmp_path):
@@ -46,3 +47,19 @@ def test_the_hash_is_that_of_the_content(tmp_path):
     path = tmp_path / "data"
     path.write_bytes(bytes(range(256)) * 5000)
     assert sha256_of(path) == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("environment", "folder"),
+    [
+        ({"MRTASK_CACHE_DIR": "/fast/disk", "XDG_CACHE_HOME": "/xdg"}, "/fast/disk"),
+        ({"MRTASK_CACHE_DIR": "", "XDG_CACHE_HOME": "/xdg"}, "/xdg/mrtask"),
+        ({"HOME": "/home/user"}, "/home/user/.cache/mrtask"),
+    ],
+)
+def test_the_cache_is_where_the_environment_says(monkeypatch, environment, folder):
+    for name in ("MRTASK_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert default_cache_dir() == Path(folder)

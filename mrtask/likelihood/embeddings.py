@@ -8,7 +8,6 @@ its vector does not depend on which others are asked for, and kept on disk by mo
 import contextlib
 import functools
 import hashlib
-import os
 import re
 import unicodedata
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.errors import InputError
-from mrtask.files import replacing, sha256_of
+from mrtask.files import default_cache_dir, replacing, sha256_of
 
 if TYPE_CHECKING:
     from sentence_transformers import SentenceTransformer
@@ -29,13 +28,6 @@ BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9
 
 _WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
 _SEPARATORS = re.compile(r"[\s_\-]+")
-
-
-def default_cache_dir() -> Path:
-    """``$MRTASK_CACHE_DIR``, else ``mrtask`` in the user's cache folder."""
-    if "MRTASK_CACHE_DIR" in os.environ:
-        return Path(os.environ["MRTASK_CACHE_DIR"])
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrtask"
 
 
 def name_to_text(name: str) -> str:

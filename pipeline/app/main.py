@@ -22,12 +22,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.errors import InputError
+from mrtask.files import default_cache_dir
 from pipeline.app import sweep
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
 from pipeline.base.config import Cluster
-from pipeline.store.cache import default_cache_dir
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 USER_ERROR_EXIT = 2

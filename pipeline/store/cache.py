@@ -5,15 +5,10 @@ removing first what was used least recently.
 """
 
 import contextlib
-import os
 import shutil
 from pathlib import Path
 
-
-def default_cache_dir() -> Path:
-    """``$MRTASK_CACHE_DIR``, else ``mrtask`` in the user's cache folder."""
-    given = os.environ.get("MRTASK_CACHE_DIR")
-    return Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrtask"
+from mrtask.files import default_cache_dir
 
 
 def trim(folder: Path, limit_bytes: float) -> int:

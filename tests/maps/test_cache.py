@@ -44,6 +44,15 @@ def test_other_parameters_are_other_maps(tmp_path, two_room_home, builds):
     assert len(builds) == 3
 
 
+def test_other_code_makes_other_maps(tmp_path, two_room_home, builds, monkeypatch):
+    cached_map(two_room_home, tmp_path)
+    monkeypatch.setattr(cache, "_code", lambda: "the hash of an edited map builder")
+    cached_map(two_room_home, tmp_path)
+    cached_map(two_room_home, tmp_path)
+    assert len(builds) == 2
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_without_a_folder_nothing_is_kept(two_room_home, builds):
     cached_map(two_room_home, None)
     cached_map(two_room_home, None)

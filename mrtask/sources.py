@@ -1,0 +1,94 @@
+"""Which of the library's own files decide a result, and a hash of them: other code, other hash.
+
+What is kept for later (maps, homes, rows) is named by such a hash, so it is never taken for what the present code would
+make, and code that it does not depend on (drawing, say) can change freely. Only this package's files count: neither
+Python's version nor those of other packages.
+"""
+
+import ast
+import hashlib
+from collections.abc import Iterable, Iterator
+from importlib.util import resolve_name
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+"""The folder that holds the package."""
+SUFFIXES = frozenset({".py", ".yaml", ".toml", ".json", ".csv", ".jinja"})
+
+
+def hash_folders(*folders: str, root: Path = ROOT) -> str:
+    """16 hex digits of all code and data files below the folders (``mrtask/homes``, ...), by path and content.
+
+    Raises:
+        FileNotFoundError: a folder is missing or holds no such file.
+    """
+    files: set[Path] = set()
+    for folder in folders:
+        below = {path for path in (root / folder).rglob("*") if path.suffix in SUFFIXES and path.is_file()}
+        if not below:
+            raise FileNotFoundError(f"no sources in {root / folder}")
+        files |= below
+    return _hash(files, root)
+
+
+def hash_module(module: str, root: Path = ROOT) -> str:
+    """16 hex digits of `module_files`, by path and content."""
+    return _hash(module_files(module, root), root)
+
+
+def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
+    """The files that decide what a module (``mrtask.maps.home_map``) does.
+
+    These are its own and those of all modules of the same package that it imports, directly or through others. A data
+    file that has a module's name (``catalogue.yaml`` of ``catalogue.py``) belongs to it.
+
+    Raises:
+        ModuleNotFoundError: there is no such module below ``root``.
+    """
+    if _file_of(module, root) is None:
+        raise ModuleNotFoundError(f"no module {module} in {root}", name=module)
+    package = module.partition(".")[0]
+    waiting, modules = {module}, dict[str, Path]()
+    while waiting:
+        name = waiting.pop()
+        path = _file_of(name, root)
+        if path is None or name in modules:
+            continue
+        modules[name] = path
+        imported = {part for imported in _imports(path, name) for part in _with_parents(imported)}
+        waiting |= {part for part in imported if part.partition(".")[0] == package}
+    return frozenset(
+        file for path in modules.values() for file in path.parent.glob(f"{path.stem}.*") if file.suffix in SUFFIXES
+    )
+
+
+def _file_of(module: str, root: Path) -> Path | None:
+    """The file of a module or package; None for a name that is neither (a class, another distribution's)."""
+    base = root.joinpath(*module.split("."))
+    return next((path for path in (base.with_suffix(".py"), base / "__init__.py") if path.is_file()), None)
+
+
+def _imports(path: Path, module: str) -> Iterator[str]:
+    """The names imported anywhere in a file; for ``from a import b`` both ``a`` and ``a.b``, which may be a module."""
+    package = module if path.stem == "__init__" else module.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            source = resolve_name("." * node.level + (node.module or ""), package)
+            yield source
+            yield from (f"{source}.{alias.name}" for alias in node.names)
+
+
+def _with_parents(module: str) -> Iterator[str]:
+    """``a.b.c``, ``a.b`` and ``a``: importing the first runs them all."""
+    while module:
+        yield module
+        module = module.rpartition(".")[0]
+
+
+def _hash(files: Iterable[Path], root: Path) -> str:
+    digest = hashlib.sha256()
+    for name, path in sorted((path.relative_to(root).as_posix(), path) for path in files):
+        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
