@@ -12,13 +12,13 @@ import pandas as pd
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import build_dataset, is_current, write_dataset
-from mrtask.likelihood.rows import label_rows, vocabulary
+from mrtask.likelihood.rows import SPLITS, label_rows, vocabulary
 from pipeline import homes
 from pipeline.app.main import main
 from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import Config, content_hash
-from pipeline.homes import HomeSet
+from pipeline.store.home_set import HomeSet
 from pipeline.store.version import code_version, source_hash
 
 HOMES_PER_TASK = 25
@@ -26,33 +26,33 @@ HOMES_PER_TASK = 25
 
 def run(config: Config, pool: Pool) -> Path:
     """The stage: the folder of the dataset of the configured homes."""
-    return build(config, pool, homes.run(config, pool))
+    return build(homes.run(config, pool), config.datasets_dir, pool)
 
 
-def build(config: Config, pool: Pool, home_set: HomeSet) -> Path:
+def build(home_set: HomeSet, datasets_dir: Path, pool: Pool) -> Path:
     """The folder of the dataset of these homes, made unless it is there."""
     began_s = time.monotonic()
-    split = home_set.manifest["split"]
-    folder = config.datasets_dir / "rows" / content_hash([split, source_hash("mrtask/likelihood")])
+    split = home_set.split
+    folder = datasets_dir / "rows" / content_hash([split, source_hash("mrtask/likelihood")])
     console.headline("dataset", "labelled rows (object, container, room)")
     if is_current(folder, split):
-        console.skipped(homes.shown(folder))
+        console.skipped(console.shown(folder))
         return folder
     members = home_set.read()
     dataset = build_dataset(
         members,
-        source=home_set.manifest["source"],
-        seed=config.homes.seed,
+        source=home_set.manifest.source,
+        seed=home_set.manifest.seed,
         code_version=code_version(),
         frames=_label(members, pool),
     )
     write_dataset(dataset, folder)
     counts = dataset.manifest.counts
-    for name in homes.SPLITS:
+    for name in SPLITS:
         count = counts[name]
         share = f"{count['positive_share']:.1%} positive"
         console.line(f"{name:10} {count['rows']:9,.0f} rows of {count['homes']:.0f} homes, {share}")
-    console.result(homes.shown(folder), time.monotonic() - began_s)
+    console.result(console.shown(folder), time.monotonic() - began_s)
     return folder
 
 

@@ -27,12 +27,12 @@ from pipeline.base.config import Config, UserError
 from pipeline.episodes.plan import EPISODES, IDENTITY, MANIFEST, Evaluation, check, prepare
 from pipeline.episodes.tally import Tally
 from pipeline.episodes.worker import Context, EpisodeKey, failed_row, map_home, run_one, warm
-from pipeline.homes import HomeSet
 from pipeline.store import cache
 from pipeline.store.folder import Folder, locked
+from pipeline.store.home_set import HomeSet
 from pipeline.store.rows import EpisodeWriter, differences, read_table
 from pipeline.store.version import code_version
-from pipeline.train import model_facts
+from pipeline.train import find_record
 
 RUN_ID = "mlflow_run_id"
 """File in the output folder that names the MLflow run under way, or the last one."""
@@ -226,7 +226,8 @@ def _metrics(folder: Folder) -> dict[str, float]:
 def _manifest(config: Config, evaluation: Evaluation, reach: Mapping[str, int], pool: Pool) -> dict[str, Any]:
     """What the report needs to know about the run."""
     context = evaluation.context
-    model = model_facts(config, context.provenance["model_version"])
+    version = context.provenance["model_version"]
+    trained = find_record(config.datasets_dir, config.tracking.uri, version)
     peaks_mb = read_table(Folder(config.output_dir) / EPISODES, ["peak_memory_mb"]).to_pandas()["peak_memory_mb"]
     return {
         "experiment": config.experiment,
@@ -237,10 +238,10 @@ def _manifest(config: Config, evaluation: Evaluation, reach: Mapping[str, int], 
         "expected_episodes": len(evaluation.keys),
         "config": config.model_dump(mode="json"),
         **context.provenance,
-        "model": model,
+        "model": trained.facts() if trained else {"name": tracking.MODEL_NAME, "version": version},
         "homes": {
             **evaluation.homes_facts,
-            "training": model.get("training_homes"),
+            "training": trained.training_homes if trained else None,
             "containers": reach["containers"],
             "reachable_share": reach["reachable"] / reach["containers"],
         },

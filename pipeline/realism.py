@@ -7,7 +7,7 @@ draw=true also a gallery of both.
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from mrtask.analysis.floor_plans import draw_gallery
 from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
-from mrtask.likelihood.training import score, train_model
+from mrtask.likelihood.training import TrainingOptions, score, train_model
 from mrtask.maps.home_map import build_map
 from pipeline import dataset, homes
 from pipeline.app.main import CONF_DIR, main
@@ -26,6 +26,7 @@ from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
 from pipeline.store.folder import Folder
+from pipeline.store.home_files import HouseFiles
 from pipeline.train import training_options
 
 FOLDER = "realism"
@@ -38,7 +39,7 @@ ROUNDED_METRIC = "{:.4f}".format
 
 def run(config: Config, pool: Pool) -> None:
     """The stage."""
-    options, began_s = config.homes, time.monotonic()
+    options = config.homes
     if not isinstance(options, ProcthorHomes | Procthor10kHomes):
         raise UserError(
             f"homes={options.source}: real homes are needed to compare with; give homes=procthor homes.files=[...] "
@@ -52,33 +53,55 @@ def run(config: Config, pool: Pool) -> None:
         test=config.realism.generated_test,
     )
     target = Folder(config.output_dir) / FOLDER
-    real_config, generated_config = config, config.model_copy(update={"homes": generated})
-    real_set, generated_set = (homes.prepare(each, pool) for each in (real_config, generated_config))
-    real, ours = real_set.houses.read(), generated_set.houses.read()
-    console.headline("realism", f"{len(ours)} generated homes against {len(real)} real ones")
-    described = _describe((*ours, *real), config.map, pool)
-    table = compare_homes(described[: len(ours)], described[len(ours) :], config.seed)
+    real_set, generated_set = (homes.make(each, config.datasets_dir, pool) for each in (options, generated))
+    compare(generated_set.houses, real_set.houses, config.map, config.seed, target, pool)
+    if config.draw:
+        draw(generated_set.houses, real_set.houses, config.map, config.cache_dir, target)
+    if config.realism.models:
+        ours, theirs = (
+            read_dataset(dataset.build(home_set, config.datasets_dir, pool)) for home_set in (generated_set, real_set)
+        )
+        options_by_kind = {kind: _training_options(config, kind) for kind in config.realism.models}
+        transfer(ours, theirs, options_by_kind, target)
+
+
+def compare(generated: HouseFiles, real: HouseFiles, map_options: Map, seed: int, target: Folder, pool: Pool) -> None:
+    """Writes the table of the distances between generated and real homes."""
+    began_s = time.monotonic()
+    ours, theirs = generated.read(), real.read()
+    console.headline("realism", f"{len(ours)} generated homes against {len(theirs)} real ones")
+    described = _describe((*ours, *theirs), map_options, pool)
+    table = compare_homes(described[: len(ours)], described[len(ours) :], seed)
     target.write(HOMES_TABLE, table.to_csv(index=False).encode())
     _say(table.to_string(index=False, float_format=ROUNDED, na_rep=""))
     console.result(target / HOMES_TABLE, time.monotonic() - began_s)
-    if config.draw:
-        blocks = {"generated": generated_set.houses, "real": real_set.houses}
-        with tempfile.TemporaryDirectory() as temporary:
-            figure = draw_gallery({title: homes.mapped_examples(config, where) for title, where in blocks.items()})
-            homes.save_figure(figure, Path(temporary), homes.GALLERY, dpi=100)
-            target.upload(Path(temporary))
-        console.line(f"-> {target / homes.GALLERY}.png")
-    if config.realism.models:
-        began_s = time.monotonic()
-        rows = [
-            read_dataset(dataset.build(each, pool, home_set))
-            for each, home_set in ((generated_config, generated_set), (real_config, real_set))
-        ]
-        console.headline("transfer", f"models tested on {len(real_set.manifest['split']['test'])} real homes")
-        transfer = _transfer(config, *rows)
-        target.write(TRANSFER_TABLE, transfer.to_csv(index=False).encode())
-        _say(transfer.to_string(index=False, float_format=ROUNDED_METRIC))
-        console.result(target / TRANSFER_TABLE, time.monotonic() - began_s)
+
+
+def draw(generated: HouseFiles, real: HouseFiles, map_options: Map, cache_dir: Path, target: Folder) -> None:
+    """Draws some generated homes beside real ones."""
+    columns = {
+        title: homes.map_homes(homes.examples(houses.read()), map_options, cache_dir)
+        for title, houses in (("generated", generated), ("real", real))
+    }
+    with tempfile.TemporaryDirectory() as temporary:
+        homes.save_figure(draw_gallery(columns), Path(temporary), homes.GALLERY, dpi=100)
+        target.upload(Path(temporary))
+    console.line(f"-> {target / homes.GALLERY}.png")
+
+
+def transfer(generated: Dataset, real: Dataset, options: Mapping[str, TrainingOptions], target: Folder) -> None:
+    """Writes the metrics on the real test homes: one row per model kind and kind of training homes."""
+    began_s, test, rows = time.monotonic(), real.triples("test"), []
+    console.headline("transfer", f"models tested on {len(real.manifest.split['test'])} real homes")
+    for kind, of_kind in options.items():
+        for name, data in (("generated", generated), ("real", real)):
+            trained = train_model(data, of_kind, lambda epoch, metrics: interrupt.check())
+            metrics = score(trained.model, test)
+            rows.append((kind, name, len(data.manifest.split["train"]), *(metrics[metric] for metric in METRICS)))
+    table = pd.DataFrame(rows, columns=["model", "trained_on", "training_homes", *METRICS])
+    target.write(TRANSFER_TABLE, table.to_csv(index=False).encode())
+    _say(table.to_string(index=False, float_format=ROUNDED_METRIC))
+    console.result(target / TRANSFER_TABLE, time.monotonic() - began_s)
 
 
 def _describe(members: Sequence[Home], map_options: Map, pool: Pool) -> list[DescribedHome]:
@@ -100,17 +123,10 @@ def _describe_chunk(number: int, chunks: Sequence[Sequence[Home]], map_options: 
     return [describe_home(home, build_map(home, resolution_m, radius_m)) for home in chunks[number]]
 
 
-def _transfer(config: Config, generated: Dataset, real: Dataset) -> pd.DataFrame:
-    """One row per model and kind of training homes: metrics on the real test homes."""
-    test, rows = real.triples("test"), []
-    for kind in config.realism.models:
-        model = config.model.model_copy(update={"kind": kind, **_layers(kind)})
-        options = replace(training_options(config.model_copy(update={"model": model})), checkpoint_dir=None)
-        for name, data in (("generated", generated), ("real", real)):
-            trained = train_model(data, options, lambda epoch, metrics: interrupt.check())
-            metrics = score(trained.model, test)
-            rows.append((kind, name, len(data.manifest.split["train"]), *(metrics[metric] for metric in METRICS)))
-    return pd.DataFrame(rows, columns=["model", "trained_on", "training_homes", *METRICS])
+def _training_options(config: Config, kind: str) -> TrainingOptions:
+    """The configured options for a model of this kind; a comparison leaves no checkpoints."""
+    model = config.model.model_copy(update={"kind": kind, **_layers(kind)})
+    return replace(training_options(model, config.trainer, config.seed, config.cache_dir), checkpoint_dir=None)
 
 
 def _layers(kind: str) -> dict[str, tuple[int, ...]]:

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from pydantic import TypeAdapter
 
 from mrtask.analysis.curves import BUDGET
 from mrtask.analysis.report import render_report, trials_to_draw
 from mrtask.homes.home import Home
-from pipeline import homes
 from pipeline.app.main import main
 from pipeline.app.sweep import CELLS
 from pipeline.backends import tracking
@@ -24,6 +24,7 @@ from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.episodes.plan import EPISODES, MANIFEST
 from pipeline.store.folder import Folder, locked
+from pipeline.store.home_files import HomeFiles
 from pipeline.store.rows import TRACE, read_episodes, read_traces
 from pipeline.store.version import source_hash
 
@@ -119,11 +120,11 @@ def _digest(episodes: pd.DataFrame) -> str:
 
 def _homes(manifest: Mapping[str, Any], ids: set[str]) -> dict[str, Home]:
     """The homes to be drawn; those whose files are gone are left out."""
-    where = homes.home_files(manifest["homes"]["read_from"])
-    if not all(path.is_file() for path in where.paths):
+    source = TypeAdapter[HomeFiles](HomeFiles).validate_python(manifest["homes"]["read_from"])
+    if not all(path.is_file() for path in source.paths):
         console.line("the homes' files are gone: no episode is drawn")
         return {}
-    return {home.id: home for home in where.read() if home.id in ids}
+    return {home.id: home for home in source.read() if home.id in ids}
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ def run(config: Config, pool: Pool) -> None:
     folder = Folder(config.output_dir)
     with locked(folder, config.cache_dir):
         home_set = timed("homes", lambda: homes.run(config, pool))
-        rows = timed("dataset", lambda: dataset.build(config, pool, home_set))
-        timed("train", lambda: train.train(config, rows))
+        rows = timed("dataset", lambda: dataset.build(home_set, config.datasets_dir, pool))
+        timed("train", lambda: train.train_on(rows, config))
         store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
         model = evaluate.load_model(config, store)
         timed("evaluate", lambda: evaluate.evaluate(config, pool, home_set, store, model))

@@ -4,10 +4,9 @@ Registered as ``container-object-likelihood``; the first takes the alias ``champ
 present champion. Trained anew only when dataset, model, options or code changed.
 """
 
+import shutil
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.frequency import FrequencyModel
@@ -19,66 +18,72 @@ from pipeline.backends import tracking
 from pipeline.backends.pool import Pool
 from pipeline.backends.tracking import ChampionError
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, content_hash
+from pipeline.base.config import Config, Model, Tracking, Trainer, content_hash
 from pipeline.store import artifacts
+from pipeline.store.records import TrainedModelRecord
 from pipeline.store.version import code_version, source_hash
 
 SHOWN_METRICS = ("log_loss", "roc_auc")
 
 
-def run(config: Config, pool: Pool) -> dict[str, Any]:
-    """The stage: returns the manifest of the trained model."""
-    return train(config, dataset.run(config, pool))
+def run(config: Config, pool: Pool) -> TrainedModelRecord:
+    """The stage: the record of the trained model."""
+    return train_on(dataset.run(config, pool), config)
 
 
-def train(config: Config, rows_folder: Path) -> dict[str, Any]:
+def train_on(rows_folder: Path, config: Config) -> TrainedModelRecord:
+    """`train` as configured."""
+    return train(
+        rows_folder, config.model, config.trainer, config.seed, config.tracking, config.datasets_dir, config.cache_dir
+    )
+
+
+def train(
+    rows_folder: Path,
+    model: Model,
+    trainer: Trainer,
+    seed: int,
+    registry: Tracking,
+    datasets_dir: Path,
+    cache_dir: Path,
+) -> TrainedModelRecord:
     """Trains on a dataset and registers the model, unless that very model is in the registry."""
     began_s = time.monotonic()
-    options = training_options(config)
-    key = content_hash(
-        [
-            read_manifest(rows_folder).content_hash,
-            config.model.model_dump(mode="json"),
-            config.trainer.model_dump(mode="json"),
-            config.seed,
-            source_hash("mrtask/likelihood"),
-            config.tracking.model_dump(),
-        ]
-    )
-    folder = config.datasets_dir / "models" / f"{config.model.kind}-{key}"
-    console.headline("train", f"{config.model.kind} on {config.model.embedding}")
-    store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-    if artifacts.ready(folder) and _registered(store, artifacts.read_manifest(folder)["version"]):
-        manifest = artifacts.read_manifest(folder)
-        console.skipped(f"{tracking.MODEL_NAME} version {manifest['version']}")
-        return manifest
+    params = {"model": model.model_dump(mode="json"), "trainer": trainer.model_dump(mode="json"), "seed": seed}
+    decisive = [
+        read_manifest(rows_folder).content_hash,
+        *params.values(),
+        source_hash("mrtask/likelihood"),
+        registry.model_dump(),
+    ]
+    key = content_hash(decisive)
+    folder = datasets_dir / "models" / f"{model.kind}-{key}"
+    console.headline("train", f"{model.kind} on {model.embedding}")
+    store = tracking.open_tracking(registry.uri, registry.experiment_name)
+    record = artifacts.find_manifest(folder, TrainedModelRecord)
+    if record is not None and _registered(store, record.model_version):
+        console.skipped(f"{tracking.MODEL_NAME} version {record.model_version}")
+        return record
+    options = training_options(model, trainer, seed, cache_dir)
     data = read_dataset(rows_folder)
-    params = {
-        "model": config.model.model_dump(mode="json"),
-        "trainer": config.trainer.model_dump(mode="json"),
-        "seed": config.seed,
-    }
     tags = {"stage": "train", "training_key": key, "code_version": code_version()}
-    with tracking.run(store, f"train {config.model.kind}", params, tags) as run_:
+    with tracking.run(store, f"train {model.kind}", params, tags) as run_:
         tracking.log_dataset(run_, data, rows_folder)
-        trained = _train(config, options, data, run_)
-        frequency = score(FrequencyModel(data.triples("train"), options.smoothing), data.triples("test"))
+        trained = _train(options, data, run_)
         tracking.log_training(run_, trained, data)
         console.line("registering")
         registration = tracking.register_model(run_, trained, data)
-        manifest = _manifest(config, data, trained, frequency, registration) | {"run_id": run_.run_id, "key": key}
-    artifacts.make(folder, lambda temporary: manifest)
-    test = ", ".join(f"{name} {manifest['metrics'][name]:.4f}" for name in SHOWN_METRICS)
-    table = ", ".join(f"{name} {frequency[name]:.4f}" for name in SHOWN_METRICS)
-    console.line(f"test homes: {test}; the frequency table: {table}")
-    console.line(f"version {registration.version}: {registration.reason}")
-    console.result(f"{tracking.MODEL_NAME} version {registration.version}", time.monotonic() - began_s)
-    return manifest
+    if record is not None:  # of a version that is no longer in the registry
+        shutil.rmtree(folder)
+    record = artifacts.make(folder, lambda _: _record(trained, data, registration, run_, key))
+    _say(record)
+    console.result(f"{tracking.MODEL_NAME} version {record.model_version}", time.monotonic() - began_s)
+    return record
 
 
-def _train(config: Config, options: TrainingOptions, data: Dataset, run: tracking.Run) -> TrainedModel:
+def _train(options: TrainingOptions, data: Dataset, run: tracking.Run) -> TrainedModel:
     done = 0
-    with console.Progress(config.trainer.max_epochs, "epochs (at most)") as progress:
+    with console.Progress(options.network.max_epochs, "epochs (at most)") as progress:
 
         def on_epoch(epoch: int, metrics: EpochMetrics) -> None:
             nonlocal done
@@ -95,17 +100,16 @@ def _train(config: Config, options: TrainingOptions, data: Dataset, run: trackin
     return trained
 
 
-def training_options(config: Config) -> TrainingOptions:
-    """The configured model and trainer as the library's options."""
-    model, trainer = config.model, config.trainer
+def training_options(model: Model, trainer: Trainer, seed: int, cache_dir: Path) -> TrainingOptions:
+    """The configured model and trainer as the library's options; checkpoints go to the cache."""
     return TrainingOptions(
         kind=model.kind,
         embedding=model.embedding,
-        network=NetworkOptions(layers=model.layers, dropout=model.dropout, seed=config.seed, **trainer.model_dump()),
+        network=NetworkOptions(layers=model.layers, dropout=model.dropout, seed=seed, **trainer.model_dump()),
         regularisation=model.regularisation,
         smoothing=model.smoothing,
-        cache_dir=config.cache_dir,
-        checkpoint_dir=config.cache_dir / "checkpoints",
+        cache_dir=cache_dir,
+        checkpoint_dir=cache_dir / "checkpoints",
     )
 
 
@@ -117,39 +121,47 @@ def _registered(store: tracking.Tracking, version: str) -> bool:
     return True
 
 
-def _manifest(
-    config: Config,
-    data: Dataset,
-    trained: TrainedModel,
-    frequency: Mapping[str, float],
-    registration: tracking.Registration,
-) -> dict[str, Any]:
-    """What the report says about the model."""
-    metrics = trained.metrics["test"]
-    return {
-        "name": tracking.MODEL_NAME,
-        "version": registration.version,
-        "kind": config.model.kind,
-        "embedding": config.model.embedding,
-        "champion": registration.promoted,
-        "training_homes": len(data.manifest.split["train"]),
-        "test_homes": len(data.manifest.split["test"]),
-        "metrics": metrics,
-        "frequency_metrics": dict(frequency),
-        "beats_frequency": metrics["log_loss"] < frequency["log_loss"],
-        "note": registration.reason,
-        "dataset": data.manifest.content_hash,
-        "tracking_uri": config.tracking.uri,
-    }
+def _record(
+    trained: TrainedModel, data: Dataset, registration: tracking.Registration, run: tracking.Run, key: str
+) -> TrainedModelRecord:
+    """The record of a model that has just been registered, beside the frequency table on the same homes."""
+    options, metrics = trained.options, trained.metrics["test"]
+    frequency = score(FrequencyModel(data.triples("train"), options.smoothing), data.triples("test"))
+    return TrainedModelRecord(
+        name=tracking.MODEL_NAME,
+        model_version=registration.version,
+        kind=options.kind,
+        embedding=options.embedding,
+        champion=registration.promoted,
+        training_homes=len(data.manifest.split["train"]),
+        test_homes=len(data.manifest.split["test"]),
+        metrics=metrics,
+        frequency_metrics=frequency,
+        beats_frequency=metrics["log_loss"] < frequency["log_loss"],
+        note=registration.reason,
+        dataset=data.manifest.content_hash,
+        tracking_uri=run.tracking.uri,
+        run_id=run.run_id,
+        key=key,
+    )
 
 
-def model_facts(config: Config, version: str) -> dict[str, Any]:
-    """What was written about a registered version when it was trained here; else no more than its name."""
-    for path in (config.datasets_dir / "models").glob(f"*/{artifacts.MANIFEST}"):
-        manifest = artifacts.read_manifest(path.parent)
-        if manifest["version"] == version and manifest["tracking_uri"] == config.tracking.uri:
-            return manifest
-    return {"name": tracking.MODEL_NAME, "version": version}
+def _say(record: TrainedModelRecord) -> None:
+    own, table = (
+        ", ".join(f"{name} {metrics[name]:.4f}" for name in SHOWN_METRICS)
+        for metrics in (record.metrics, record.frequency_metrics)
+    )
+    console.line(f"test homes: {own}; the frequency table: {table}")
+    console.line(f"version {record.model_version}: {record.note}")
+
+
+def find_record(datasets_dir: Path, tracking_uri: str, model_version: str) -> TrainedModelRecord | None:
+    """The record of a registered version, written when it was trained; None where that was not here."""
+    for path in (datasets_dir / "models").glob(f"*/{artifacts.MANIFEST}"):
+        record = artifacts.find_manifest(path.parent, TrainedModelRecord)
+        if record is not None and (record.model_version, record.tracking_uri) == (model_version, tracking_uri):
+            return record
+    return None
 
 
 if __name__ == "__main__":

@@ -75,6 +75,11 @@ class GeneratedHomes(_Homes):
     source: Literal["generated"]
     test: Positive
 
+    @property
+    def total(self) -> int:
+        """How many homes are generated."""
+        return self.train + self.validation + self.test
+
 
 class ProcthorHomes(_Homes):
     """The user's own house files in ProcTHOR's schema."""
@@ -111,9 +116,15 @@ class RosMapHomes(_Homes):
             )
         return self
 
+    def to_learn_from(self) -> GeneratedHomes:
+        """The generated homes that the model learns from."""
+        shared = self.model_dump(include={"seed", "train", "validation", "test"})
+        return GeneratedHomes(source="generated", **shared)
 
-Homes = GeneratedHomes | ProcthorHomes | Procthor10kHomes | RosMapHomes
-HOME_SOURCES = ("generated", "procthor", "procthor10k", "ros_map")
+
+HousesInFiles = ProcthorHomes | Procthor10kHomes
+Homes = GeneratedHomes | HousesInFiles | RosMapHomes
+HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
 
 
 class Map(_Section):

@@ -5,6 +5,7 @@ On a terminal the bar is drawn in place; elsewhere (a log file, CI) it becomes a
 
 import sys
 import time
+from pathlib import Path
 from types import TracebackType
 
 from tqdm import tqdm
@@ -31,6 +32,11 @@ def result(path: object, seconds: float) -> None:
 def skipped(path: object) -> None:
     """Closes a stage that had nothing to do."""
     line(f"-> {path} (unchanged, skipped)")
+
+
+def shown(path: Path) -> Path:
+    """A local path as a person in this folder would type it."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def duration(seconds: float) -> str:

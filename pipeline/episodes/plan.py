@@ -8,12 +8,12 @@ from mrtask.execution.team import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import build_table
-from pipeline import homes
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, formula_objects
-from pipeline.homes import HomeSet
+from pipeline.store.home_files import HomeFiles, HouseFiles, check_files, count_by_size_class, say_faults
+from pipeline.store.home_set import HomeSet
 from pipeline.store.version import code_version, source_hash
 
 EPISODES = "episodes"
@@ -40,7 +40,8 @@ def check(config: Config) -> None:
     options = config.evaluation
     if options.formula is not None:
         formula_objects(options.formula)
-    homes.check_files(options.homes.files, options.homes.assets, "evaluation.homes")
+    check_files("evaluation.homes.files", options.homes.files)
+    check_files("evaluation.homes.assets", [options.homes.assets])
 
 
 def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evaluation:
@@ -54,7 +55,7 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
         console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
-    counts = homes.count_by_size_class(unseen)
+    counts = count_by_size_class(unseen)
     empty = [name for name in options.size_classes if not counts[name]]
     size_classes = tuple(name for name in options.size_classes if counts[name])
     if empty and size_classes and facts["source"] == "ros_map":  # a map has the size that it has
@@ -122,11 +123,12 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
 
 def _evaluation_homes(config: Config, home_set: HomeSet) -> tuple[tuple[Home, ...], dict[str, Any]]:
     given = config.evaluation.homes
-    where: homes.HomeFiles
+    where: HomeFiles
     if given.files:
-        source, where = "procthor", homes.HouseFiles(given.files, given.assets, given.skip_faulty)
+        assets = given.assets or home_set.houses.assets
+        source, where = "procthor", HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
         found = where.read()
-        homes.say_faults(where)
+        say_faults(where)
     else:
         source = config.homes.source
         where, found = home_set.evaluation_homes()
@@ -134,5 +136,5 @@ def _evaluation_homes(config: Config, home_set: HomeSet) -> tuple[tuple[Home, ..
         "source": source,
         "files": [str(path) for path in where.paths],
         "skipped": len(where.faults()),
-        "read_from": homes.home_files_facts(where),
+        "read_from": where.model_dump(mode="json"),
     }

@@ -1,35 +1,38 @@
 """Folders that are named by what they were made from and appear whole or not at all.
 
-``<kind>/<name>-<key>`` with the key a hash of inputs, configuration and code: if it is there it is right, so a stage
-with unchanged inputs has nothing to do, and concurrent makers of the same folder do not disturb each other.
+``<kind>/<name>-<key>`` with the key a hash of inputs, configuration and code: a folder that is there is right, so a
+stage with unchanged inputs has nothing to do, and concurrent makers of the same folder do not disturb each other. Each
+holds a record of what is in it, its manifest.
 """
 
-import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from pipeline.base.config import UserError
+from pipeline.store.records import Record
 
 MANIFEST = "manifest.json"
 
-
-def ready(folder: Path) -> bool:
-    """Whether the folder has been made."""
-    return (folder / MANIFEST).is_file()
+R = TypeVar("R", bound=Record)
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """What a finished folder's maker wrote about it."""
-    content: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    return content
+def find_manifest(folder: Path, kind: type[R]) -> R | None:
+    """The manifest of a finished folder; None where there is none that this version can read, so that it is made."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    try:
+        return kind.from_json(path.read_bytes(), str(path))
+    except UserError:
+        return None
 
 
-def make(folder: Path, fill: Callable[[Path], Mapping[str, Any]]) -> None:
-    """Fills a new folder and gives it its name; ``fill`` returns the manifest.
+def make(folder: Path, fill: Callable[[Path], R]) -> R:
+    """Fills a new folder and gives it its name; ``fill`` puts the files into the folder given and returns the manifest.
 
     Raises:
         UserError: the place cannot be written.
@@ -43,13 +46,14 @@ def make(folder: Path, fill: Callable[[Path], Mapping[str, Any]]) -> None:
         ) from error
     try:
         manifest = fill(temporary)
-        (temporary / MANIFEST).write_text(json.dumps(manifest, indent=1), encoding="utf-8")
+        (temporary / MANIFEST).write_bytes(manifest.to_json())
         temporary.chmod(0o755)
         try:
             os.replace(temporary, folder)
-        except OSError:  # somebody else made it meanwhile, or a folder without manifest is in the way
-            if not ready(folder):
+        except OSError:  # somebody else has made it meanwhile, or something that is not finished is in the way
+            if find_manifest(folder, type(manifest)) is None:
                 shutil.rmtree(folder, ignore_errors=True)
                 os.replace(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+    return manifest

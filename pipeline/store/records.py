@@ -1,9 +1,12 @@
 """What one stage writes and another reads: one typed, versioned model per file, used by writer and reader alike."""
 
-from typing import ClassVar, Literal, Self
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from mrtask.homes.split import HomeSplit
 from pipeline.base.config import UserError
 
 
@@ -34,3 +37,64 @@ class Record(BaseModel):
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"])) or "the file"
             raise UserError(f"{path} cannot be read ({where}: {first['msg']}); {cls.ADVICE}") from error
+
+
+class GeneratedHousesManifest(Record):
+    """``datasets/generated/<key>``: how many houses the generator made, from which seed, by which code."""
+
+    seed: int
+    houses: int
+    code_version: str
+
+
+class HomesManifest(Record):
+    """``datasets/homes/<source>-<key>``: homes that were read without a fault and split."""
+
+    source: str
+    files: tuple[Path, ...]
+    seed: int
+    code_version: str
+    content_hash: str
+    """The same for the same homes, in whatever files and order."""
+    homes: int
+    skipped: int
+    """How many faulty homes were left out."""
+    faults: tuple[str, ...]
+    """The first of them: file, number, field and what is wrong."""
+    by_size_class: Mapping[str, int]
+    containers: int
+    split: HomeSplit
+    """The ids of the homes of each part."""
+
+
+class TrainedModelRecord(Record):
+    """``datasets/models/<kind>-<key>``: a model that was trained here, and the version it has in MLflow's registry."""
+
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+
+    name: str
+    model_version: str
+    kind: str
+    embedding: str
+    champion: bool
+    """Whether it became champion when it was registered."""
+    training_homes: int
+    test_homes: int
+    metrics: Mapping[str, float]
+    """On the test homes."""
+    frequency_metrics: Mapping[str, float]
+    """Those of the frequency table on the same homes."""
+    beats_frequency: bool
+    """By its log loss."""
+    note: str
+    """Why it became champion, or why not."""
+    dataset: str
+    """The content hash of the rows it was trained on."""
+    tracking_uri: str
+    run_id: str
+    key: str
+    """The hash of all that the training depends on."""
+
+    def facts(self) -> dict[str, Any]:
+        """What the report says about the model, as plain data; ``version`` is that in the registry."""
+        return self.model_dump(mode="json", exclude={"version", "model_version"}) | {"version": self.model_version}

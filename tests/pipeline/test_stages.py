@@ -19,6 +19,7 @@ from mrtask.homes.generator.house import generate_house
 from pipeline import homes
 from pipeline.backends import tracking
 from pipeline.store import artifacts
+from pipeline.store.records import HomesManifest
 from pipeline.store.rows import SCHEMA
 from tests.pipeline.harness import ROOT, Cli, Workspace
 
@@ -30,6 +31,10 @@ def episodes(output_dir: Path) -> pd.DataFrame:
     """The rows without what depends on the machine, in a fixed order."""
     frame = pd.read_parquet(output_dir / "episodes").drop(columns=TIMINGS)
     return frame.sort_values(["trial_id", "planner"]).reset_index(drop=True)
+
+
+def homes_manifest(folder: Path) -> HomesManifest:
+    return HomesManifest.from_json((folder / artifacts.MANIFEST).read_bytes(), str(folder))
 
 
 def write_houses(path: Path, houses: list[Any]) -> Path:
@@ -76,10 +81,10 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
 
 def test_homes_are_split_and_evaluation_homes_are_new(workspace: Workspace) -> None:
     [folder] = (workspace.path / "datasets" / "homes").iterdir()
-    split = artifacts.read_manifest(folder)["split"]
-    assert {name: len(ids) for name, ids in split.items()} == {"train": 12, "validation": 3, "test": 9}
-    assert len(set().union(*split.values())) == 24
-    assert set(episodes(workspace.output_dir)["home_id"]) <= set(split["test"])
+    split = homes_manifest(folder).split
+    assert [len(ids) for ids in (split.train, split.validation, split.test)] == [12, 3, 9]
+    assert len({*split.train, *split.validation, *split.test}) == 24
+    assert set(episodes(workspace.output_dir)["home_id"]) <= set(split.test)
 
 
 def test_a_second_run_does_nothing_again(workspace: Workspace, cli: Cli) -> None:
@@ -146,16 +151,16 @@ def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
 
 def test_homes_of_the_training_are_left_out(workspace: Workspace, cli: Cli) -> None:
     [folder] = (workspace.path / "datasets" / "homes").iterdir()
-    split = artifacts.read_manifest(folder)["split"]
+    manifest = homes_manifest(folder)
     done = cli(
         "evaluate",
         *workspace.overrides,
-        f"evaluation.homes.files=[{folder}/generated.jsonl.gz]",
+        f"evaluation.homes.files=[{manifest.files[0]}]",
         "output_dir=outputs/all",
         cwd=workspace.path,
     )
     assert "15 evaluation homes left out: the model has seen them in training" in done.out
-    assert set(episodes(workspace.path / "outputs" / "all")["home_id"]) <= set(split["test"])
+    assert set(episodes(workspace.path / "outputs" / "all")["home_id"]) <= set(manifest.split.test)
 
 
 def test_results_in_a_store_behind_a_url(workspace: Workspace, cli: Cli) -> None:
@@ -262,9 +267,9 @@ def test_faulty_homes_are_left_out_and_counted_where_that_is_asked_for(cli: Cli,
     assert done.code == 0, done.err
     assert "faulty homes left out: 2; the first: some.jsonl, home 1: rooms" in done.out
     [folder] = (tmp_path / "datasets" / "homes").iterdir()
-    manifest = artifacts.read_manifest(folder)
-    assert (manifest["homes"], manifest["skipped"]) == (3, 2)
-    assert [fault.partition(": ")[0] for fault in manifest["faults"]] == ["some.jsonl, home 1", "some.jsonl, home 4"]
+    manifest = homes_manifest(folder)
+    assert (manifest.homes, manifest.skipped) == (3, 2)
+    assert [fault.partition(": ")[0] for fault in manifest.faults] == ["some.jsonl, home 1", "some.jsonl, home 4"]
     write_houses(tmp_path / "none.jsonl", [{"name": "no house"}])
     none = cli("homes", *HOUSES, "homes.files=[none.jsonl]", "homes.skip_faulty=true")
     assert none.code == 2

@@ -115,7 +115,8 @@ def test_options_of_an_own_planner_stand_under_its_name() -> None:
 
 def test_model_kinds_and_training_options_fit_the_library() -> None:
     assert get_args(Model.model_fields["kind"].annotation) == MODEL_KINDS
-    options = train.training_options(make("model=mlp", "seed=3", "trainer.max_epochs=7"))
+    config = make("model=mlp", "seed=3", "trainer.max_epochs=7")
+    options = train.training_options(config.model, config.trainer, config.seed, config.cache_dir)
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
 

@@ -1,0 +1,148 @@
+"""Where homes come from: files of houses or of maps, read into homes and checked.
+
+Each kind of file is a `HomeSource`: a frozen model that a record can hold and that reads the same homes again.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.procthor import HouseError, read_houses
+from mrtask.maps.ros_map import read_map_worlds
+from pipeline.base import console
+from pipeline.base.config import UserError
+
+SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
+
+
+class HomeSource(Protocol):
+    """Files that hold homes."""
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        ...
+
+    def read(self) -> tuple[Home, ...]:
+        """The distinct homes, in the order of the files; raises `InputError` where they cannot be read."""
+        ...
+
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the homes that were left out."""
+        ...
+
+
+class _Files(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class HouseFiles(_Files):
+    """House files in ProcTHOR's schema, with the database of their assets if there is one."""
+
+    kind: Literal["houses"] = "houses"
+    files: tuple[Path, ...]
+    assets: Path | None = None
+    skip_faulty: bool = False
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        return (*self.files, *([self.assets] if self.assets else []))
+
+    def read(self) -> tuple[Home, ...]:
+        """The distinct homes, in the order of the files.
+
+        Raises:
+            UserError: a home is faulty and such are not skipped, or all are faulty.
+            HouseError: a file cannot be read to its end.
+        """
+        return _read_houses(self)[0]
+
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the homes that were left out."""
+        return _read_houses(self)[1]
+
+
+class MapFiles(_Files):
+    """Scanned floors: ROS maps, each with a file that lists its containers."""
+
+    kind: Literal["maps"] = "maps"
+    maps: tuple[Path, ...]
+    containers: tuple[Path, ...]
+    worlds: int
+    """How many homes a map gives where its containers' contents are drawn."""
+    seed: int
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        return (*self.maps, *self.containers)
+
+    def read(self) -> tuple[Home, ...]:
+        """The distinct worlds of all maps; raises `MapError`."""
+        return _read_maps(self)
+
+    def faults(self) -> tuple[str, ...]:
+        """None: a faulty map is an error."""
+        return ()
+
+
+HomeFiles = Annotated[HouseFiles | MapFiles, Field(discriminator="kind")]
+"""Either kind, as a field of a record."""
+
+
+@lru_cache(maxsize=4)
+def _read_houses(source: HouseFiles) -> tuple[tuple[Home, ...], tuple[str, ...]]:
+    faults: list[str] = []
+
+    def on_error(error: HouseError) -> None:
+        if not source.skip_faulty:
+            raise UserError(f"{error}\n{SKIP_KEYS} leaves such homes out and counts them") from error
+        faults.append(str(error))
+
+    homes = {home.id: home for home in read_houses(source.files, source.assets, on_error)}
+    if not homes:
+        raise UserError(f"no home can be used, all {len(faults)} are faulty; the first: {faults[0]}")
+    return tuple(homes.values()), tuple(faults)
+
+
+@lru_cache(maxsize=4)
+def _read_maps(source: MapFiles) -> tuple[Home, ...]:
+    worlds = [
+        world
+        for map_path, containers_path in zip(source.maps, source.containers, strict=True)
+        for world in read_map_worlds(map_path, containers_path, source.worlds, source.seed)
+    ]
+    return tuple({home.id: home for home in worlds}.values())
+
+
+def check_files(key: str, paths: Iterable[Path | None]) -> None:
+    """Refuses files that are not there; ``key`` is the configuration's that names them, None a file not given."""
+    for path in paths:
+        if path is not None and not path.is_file():
+            raise UserError(f"{key}: no such file: {path}")
+
+
+def say_faults(source: HomeSource) -> None:
+    """Says how many faulty homes were left out, and what is wrong with the first."""
+    if faults := source.faults():
+        console.line(f"faulty homes left out: {len(faults)}; the first: {faults[0]}")
+
+
+def count_by_size_class(homes: Sequence[Home]) -> dict[str, int]:
+    """How many homes of each class, small to large."""
+    counts = Counter(home.size_class for home in homes)
+    return {name: counts[name] for name in SIZE_CLASSES}
+
+
+def distinct_layouts(homes: Sequence[Home]) -> list[Home]:
+    """The first home of each layout, in order: homes of one layout differ in what their containers hold."""
+    first: dict[str, Home] = {}
+    for home in homes:
+        first.setdefault(home.layout_id, home)
+    return list(first.values())
