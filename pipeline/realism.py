@@ -61,7 +61,9 @@ def run(config: Config, pool: Pool) -> None:
         ours, theirs = (
             read_dataset(dataset.build(home_set, config.datasets_dir, pool)) for home_set in (generated_set, real_set)
         )
-        options_by_kind = {kind: _training_options(config, kind) for kind in config.realism.models}
+        options_by_kind: dict[str, TrainingOptions] = {
+            kind: _training_options(config, kind) for kind in config.realism.models
+        }
         transfer(ours, theirs, options_by_kind, target)
 
 

@@ -12,7 +12,7 @@ from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, formula_objects
-from pipeline.store.home_files import HomeFiles, HouseFiles, check_files, count_by_size_class, say_faults
+from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
 from pipeline.store.version import code_version, source_hash
 
@@ -123,17 +123,11 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
 
 def _evaluation_homes(config: Config, home_set: HomeSet) -> tuple[tuple[Home, ...], dict[str, Any]]:
     given = config.evaluation.homes
-    where: HomeFiles
+    where, found = home_set.evaluation_homes(given)
     if given.files:
-        assets = given.assets or home_set.houses.assets
-        source, where = "procthor", HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
-        found = where.read()
         say_faults(where)
-    else:
-        source = config.homes.source
-        where, found = home_set.evaluation_homes()
     return found, {
-        "source": source,
+        "source": "procthor" if given.files else config.homes.source,
         "files": [str(path) for path in where.paths],
         "skipped": len(where.faults()),
         "read_from": where.model_dump(mode="json"),

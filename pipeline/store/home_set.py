@@ -5,6 +5,7 @@ from pathlib import Path
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.rows import SPLITS
+from pipeline.base.config import EvaluationHomes
 from pipeline.store.home_files import HomeFiles, HouseFiles, MapFiles
 from pipeline.store.records import HomesManifest
 
@@ -31,6 +32,14 @@ class HomeSet:
         """The ids of the training, validation and test homes, by these names."""
         return {name: getattr(self.manifest.split, name) for name in SPLITS}
 
-    def evaluation_homes(self) -> tuple[HomeFiles, tuple[Home, ...]]:
-        """The homes to evaluate planners on, and the files that they are from."""
+    def evaluation_homes(self, given: EvaluationHomes) -> tuple[HomeFiles, tuple[Home, ...]]:
+        """The homes to evaluate planners on, and the files that they are from.
+
+        These are the homes in the files given, else those of the maps, else the test homes. Files that come without a
+        database of assets are read with the one of the set's own houses.
+        """
+        if given.files:
+            assets = given.assets or self.houses.assets
+            others = HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
+            return others, others.read()
         return (self.maps, self.maps.read()) if self.maps else (self.houses, self.read()["test"])

@@ -60,7 +60,7 @@ def test_a_folder_that_this_version_cannot_read_is_made_anew(tmp_path: Path, con
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(UserError, match="cannot write in .*/file/kind: .*; give another place by datasets_dir="):
+    with pytest.raises(UserError, match=r"cannot write in .*/file/kind: .*; give another place by datasets_dir="):
         make(tmp_path / "file" / "kind" / "name", fill)
 
 
