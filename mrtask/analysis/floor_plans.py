@@ -44,20 +44,11 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
     """Draw a floor plan into ``ax``, in metres.
 
     Full containers are dark and empty ones light, with the number of objects where ``objects``; other furniture is
-    grey.
-    With a map, floor out of the robot's reach is shaded and a dot marks where each container is reached.
+    grey. With a map, floor out of the robot's reach is shaded and a dot marks where each container is reached.
     """
-    xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
-    ax.set_xlim(min(xs) - MARGIN_M, max(xs) + MARGIN_M)
-    ax.set_ylim(min(ys) - MARGIN_M, max(ys) + MARGIN_M)
-    ax.set_aspect("equal")
-    ax.set_axis_off()
-    for room in home.rooms:
-        ax.add_patch(Patch(room.polygon, facecolor=ROOM_COLORS.get(room.type, OTHER_ROOM_COLOR), edgecolor="none"))
+    draw_rooms(home, ax)
     if home_map is not None:
-        _shade_blocked(home_map, ax)
-    for obstacle in home.obstacles:
-        ax.add_patch(Patch(obstacle.footprint, facecolor=OBSTACLE_COLOR, edgecolor="white", linewidth=0.4, zorder=2))
+        _shade_blocked(home, home_map, ax)
     # Chairs last: they stand partly under their tables.
     for container in sorted(home.containers, key=lambda container: -ShapelyPolygon(container.footprint).area):
         color = FULL_COLOR if container.objects else EMPTY_COLOR
@@ -65,7 +56,6 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
         named = names and container.type not in UNNAMED_TYPES
         lines = [container.type] * named + [str(len(container.objects))] * (objects and bool(container.objects))
         _label(lines, container.footprint, ax)
-    _draw_walls(home, ax)
     if names:
         for room in home.rooms:
             x, y = _clear_spot(home, room)
@@ -77,6 +67,20 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
         )
         if len(spots):
             ax.scatter(spots[:, 0], spots[:, 1], s=7, color=ACCESS_COLOR, zorder=6, linewidths=0)
+
+
+def draw_rooms(home: Home, ax: Axes) -> None:
+    """Draw floors, walls, doors and the furniture that is no container; containers go on top, at zorder 2 to 3."""
+    xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
+    ax.set_xlim(min(xs) - MARGIN_M, max(xs) + MARGIN_M)
+    ax.set_ylim(min(ys) - MARGIN_M, max(ys) + MARGIN_M)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    for room in home.rooms:
+        ax.add_patch(Patch(room.polygon, facecolor=ROOM_COLORS.get(room.type, OTHER_ROOM_COLOR), edgecolor="none"))
+    for obstacle in home.obstacles:
+        ax.add_patch(Patch(obstacle.footprint, facecolor=OBSTACLE_COLOR, edgecolor="white", linewidth=0.4, zorder=2))
+    _draw_walls(home, ax)
 
 
 def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figure:
@@ -100,7 +104,7 @@ def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figur
     return figure
 
 
-def _shade_blocked(home_map: HomeMap, ax: Axes) -> None:
+def _shade_blocked(home: Home, home_map: HomeMap, ax: Axes) -> None:
     rows, cols = home_map.free.shape
     (x, y), size_m = home_map.origin_m, home_map.resolution_m
     extent = (x, x + cols * size_m, y, y + rows * size_m)
@@ -109,7 +113,7 @@ def _shade_blocked(home_map: HomeMap, ax: Axes) -> None:
         image, extent=extent, origin="lower", cmap=ListedColormap([BLOCKED_COLOR]), interpolation="nearest"
     )
     shade.set_zorder(1.5)
-    shade.set_clip_path(Path.make_compound_path(*(patch.get_path() for patch in ax.patches)), ax.transData)
+    shade.set_clip_path(Path.make_compound_path(*(Patch(room.polygon).get_path() for room in home.rooms)), ax.transData)
 
 
 def _draw_walls(home: Home, ax: Axes) -> None:

@@ -19,14 +19,13 @@ from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as DrawnPolygon
 from shapely.geometry import Polygon as ShapelyPolygon
 
+from mrtask.analysis.floor_plans import draw_rooms
 from mrtask.analysis.statistics import paired_costs
 from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, robot_color, short_name
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 
-ROOM_COLORS = {"Kitchen": "#fdf3e1", "LivingRoom": "#eef4ea", "Bedroom": "#eaf0f8", "Bathroom": "#f3ecf5"}
-OTHER_ROOM_COLOR = "#f4f4f4"
-FURNITURE, OBSTACLE, WALL = "#d5d0c8", "#e9e6e1", "#4a4a4a"
+FURNITURE = "#d5d0c8"
 PANEL_WIDTH_IN, MAX_HEIGHT_IN = 5.3, 6.5
 SHORTEST_SHOWN_WAIT_S = 0.5
 ARROW_LEAST_M = 0.6
@@ -102,7 +101,7 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
             trace = Trace.from_json(row["trace"])
             robots = max(robots, len(trace.robots))
             waited |= any(_is_shown_wait(leg) for legs in trace.robots for leg in legs)
-            draw_home(axes, home, task_objects(row.get("objects")), _visited(trace))
+            draw_searched_home(axes, home, task_objects(row.get("objects")), _visited(trace))
             draw_trace(axes, trace, home)
             axes.set_title(f"{short_name(planner)}: {row['cost_s']:.1f} s")
             axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
@@ -110,18 +109,9 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
     return figure
 
 
-def draw_home(axes: Axes, home: Home, objects: Sequence[str] = (), labelled: Collection[str] = ()) -> None:
-    """Rooms, doors and furniture; containers that hold one of ``objects`` are outlined and say what they hold."""
-    for room in home.rooms:
-        color = ROOM_COLORS.get(room.type, OTHER_ROOM_COLOR)
-        axes.add_patch(
-            DrawnPolygon(room.polygon, closed=True, facecolor=color, edgecolor=WALL, linewidth=1.6, zorder=1)
-        )
-    for door in home.doors:
-        (x0, y0), (x1, y1) = door.start, door.end
-        axes.plot([x0, x1], [y0, y1], color="white", linewidth=3.2, solid_capstyle="butt", zorder=2)
-    for obstacle in home.obstacles:
-        axes.add_patch(DrawnPolygon(obstacle.footprint, closed=True, facecolor=OBSTACLE, edgecolor="none", zorder=2.5))
+def draw_searched_home(axes: Axes, home: Home, objects: Sequence[str] = (), labelled: Collection[str] = ()) -> None:
+    """Draw a floor plan where containers that hold one of ``objects`` are outlined and say what they hold."""
+    draw_rooms(home, axes)
     for container in home.containers:
         held = [name for name in objects if name in container.objects]
         _draw_container(axes, container, held, container.id in labelled)
@@ -138,8 +128,6 @@ def draw_home(axes: Axes, home: Home, objects: Sequence[str] = (), labelled: Col
             style="italic",
             zorder=2.2,
         )
-    axes.set_aspect("equal")
-    axes.set_axis_off()
 
 
 def _draw_container(axes: Axes, container: Container, held: Sequence[str], labelled: bool) -> None:
