@@ -1,7 +1,7 @@
 """Turns homes into labelled rows: which object types lie in which container types, home by home.
 
-The rows go to ``<datasets_dir>/rows`` as Parquet with a manifest and a data card. Made anew only when homes, split or
-code changed.
+The rows go to ``<datasets_dir>/rows`` as Parquet with a manifest and a data card. They are made again only when homes,
+split or code have changed.
 """
 
 import time
@@ -30,7 +30,7 @@ def run(config: Config, pool: Pool) -> Path:
 
 
 def build(home_set: HomeSet, datasets_dir: Path, pool: Pool) -> Path:
-    """The folder of the dataset of these homes, made unless it is there."""
+    """The folder of these homes' dataset, made unless it is there; raises `DatasetError` where they hold no object."""
     began_s = time.monotonic()
     split = home_set.split
     folder = datasets_dir / "rows" / content_hash([split, source_hash("mrtask/likelihood")])

@@ -2,8 +2,8 @@
 
     python -m pipeline.derive_catalogue homes.jsonl.gz [more ...] --assets asset-database.json
 
-Only aggregates are kept: counts, shares and rounded sizes. Rooms are put in classes by floor area (sixths per room
-type), since what stands in a room depends on its size.
+Only aggregates are kept: counts, shares and rounded sizes. The rooms of a type fall into six classes of equal number by
+floor area, since what stands in a room depends on its size.
 """
 
 import argparse
@@ -38,11 +38,12 @@ GROUP_GAP_M = 0.3
 CHAIR_HOSTS = ("DiningTable", "Desk")
 MIN_SHARE = 0.002
 
-Home = dict[str, Any]
+House = dict[str, Any]
+"""A decoded house JSON."""
 
 
 class _Item:
-    """One object on the floor of a room, with what the statistics need."""
+    """A piece of furniture on the floor of a room."""
 
     def __init__(self, raw: Mapping[str, Any], asset: Asset) -> None:
         position, turn = raw["position"], raw["rotation"]["y"]
@@ -53,13 +54,13 @@ class _Item:
         self.host: _Item | None = None
 
     def at_wall(self, walls: LineString) -> tuple[bool, bool]:
-        """Whether the back, and one of the two sides beside it, stand along a wall."""
+        """Whether it stands with its back to a wall, and whether also with one side to a wall: in a corner."""
         near = [walls.distance(Point(corner)) < AT_WALL_M for corner in self.corners]
         back = near[0] and near[1]
         return back, back and ((near[1] and near[2]) or (near[3] and near[0]))
 
 
-def derive(homes: Iterable[Home], assets: Mapping[str, Asset]) -> dict[str, Any]:
+def derive(homes: Iterable[House], assets: Mapping[str, Asset]) -> dict[str, Any]:
     """The catalogue as plain data, from decoded house JSONs and the asset database."""
     homes = list(homes)
     rooms = [room for home in homes for room in _rooms(home, assets)]
@@ -84,7 +85,7 @@ def _floor(room: Mapping[str, Any]) -> Polygon:
     return Polygon([(point["x"], point["z"]) for point in room["floorPolygon"]])
 
 
-def _rooms(home: Home, assets: Mapping[str, Asset]) -> Iterator[dict[str, Any]]:
+def _rooms(home: House, assets: Mapping[str, Asset]) -> Iterator[dict[str, Any]]:
     for raw in home["rooms"]:
         shape = _floor(raw)
         number = raw["id"].split("|")[1]
@@ -114,7 +115,7 @@ def _rooms(home: Home, assets: Mapping[str, Asset]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _home_facts(homes: list[Home]) -> dict[str, Any]:
+def _home_facts(homes: list[House]) -> dict[str, Any]:
     by_class: dict[str, list[tuple[str, float]]] = defaultdict(list)
     members: dict[str, tuple[str, ...]] = {}
     share: dict[tuple[str, str], list[float]] = defaultdict(list)
@@ -140,7 +141,7 @@ def _home_facts(homes: list[Home]) -> dict[str, Any]:
     return {"footprints": _footprint_facts(homes), "specs": specs, "size_classes": classes}
 
 
-def _footprint_facts(homes: list[Home]) -> dict[str, dict[str, list[float]]]:
+def _footprint_facts(homes: list[House]) -> dict[str, dict[str, list[float]]]:
     """Quantiles by size class: the side of the floor plan's cells, its share of the bounding box, the box's aspect."""
     found: dict[str, dict[str, list[float]]] = {name: {"cell_m": [], "fill": [], "aspect": []} for name in SIZE_CLASSES}
     for home in homes:
@@ -162,14 +163,14 @@ def _footprint_facts(homes: list[Home]) -> dict[str, dict[str, list[float]]]:
 
 
 def _cell_side_m(floors: Iterable[Polygon]) -> float:
-    """The side of the grid cells that rooms are made of: what all distances between their walls are a multiple of."""
+    """The side of the grid cells that rooms are made of: all distances between their walls are multiples of it."""
     coordinates = np.concatenate([get_coordinates(floor) for floor in floors])
     gaps = np.concatenate([np.diff(np.unique(np.round(values, 2))) for values in coordinates.T])
     counts = gaps[gaps > MIN_CELL_M / 2] / CELL_SIDES_M[:, None]
     return float(CELL_SIDES_M[np.argmin(np.abs(counts - np.round(counts)).max(axis=1))])
 
 
-def _door_facts(homes: list[Home], rooms: list[dict[str, Any]]) -> dict[str, Any]:
+def _door_facts(homes: list[House], rooms: list[dict[str, Any]]) -> dict[str, Any]:
     widths: dict[str, list[float]] = defaultdict(list)
     joined, outside = Counter[tuple[str, ...]](), Counter[str]()
     for home in homes:
@@ -238,7 +239,7 @@ def _type_facts(
     rooms: list[dict[str, Any]], assets: Mapping[str, Asset], edges: Mapping[str, list[float]]
 ) -> dict[str, Any]:
     used: dict[str, Counter[str]] = defaultdict(Counter)
-    # By type and whether the room is one of the larger half of its kind: in small rooms more stands in corners.
+    # By type and whether the room is in the larger half of its kind: in small rooms more furniture stands in corners.
     back, corner, total = (Counter[tuple[str, bool]]() for _ in range(3))
     for room in rooms:
         walls = room["shape"].exterior
@@ -274,7 +275,7 @@ def _type_facts(
 
 
 def _representative(used: Counter[str], own: Mapping[str, Asset], number: int) -> list[str]:
-    """Assets at evenly spaced quantiles of the footprint's area: drawing them evenly keeps the sizes' spread."""
+    """Assets at evenly spaced quantiles of footprint area, so that drawing each as often keeps the spread of sizes."""
     ranked = sorted(used.elements(), key=lambda name: (own[name].size_m.x * own[name].size_m.z, name))
     places = (np.arange(number) + 0.5) / number * len(ranked)
     return list(dict.fromkeys(ranked[int(place)] for place in places))
@@ -297,7 +298,7 @@ def _object_facts(rooms: list[dict[str, Any]]) -> dict[str, Any]:
     return dict(facts)
 
 
-def _read(files: Iterable[Path]) -> Iterator[Home]:
+def _read(files: Iterable[Path]) -> Iterator[House]:
     for file in files:
         with gzip.open(file, "rt", encoding="utf-8") as lines:
             yield from (json.loads(line) for line in lines)

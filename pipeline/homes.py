@@ -66,7 +66,7 @@ def run(config: Config, pool: Pool) -> HomeSet:
     """The stage: the homes, and with ``draw=true`` floor plans of some in ``<output_dir>/homes``."""
     home_set = make(config.homes, config.datasets_dir, pool)
     if config.draw:
-        drawn = home_set.maps or home_set.houses
+        drawn = home_set.instead_of_test or home_set.houses
         draw(drawn, config.homes.source, config.map, config.cache_dir, Folder(config.output_dir) / "homes")
     return home_set
 

@@ -1,12 +1,14 @@
 """Trains the model of where objects lie, from names alone, and registers it in MLflow.
 
-Registered as ``container-object-likelihood``; the first takes the alias ``champion``, a later one only by beating the
-present champion. Trained anew only when dataset, model, options or code changed.
+It is registered as ``container-object-likelihood``. The first model takes the alias ``champion``, a later one only by
+beating the present champion. A model is trained again only when dataset, model, options or code have changed.
 """
 
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.frequency import FrequencyModel
@@ -47,16 +49,16 @@ def train(
     datasets_dir: Path,
     cache_dir: Path,
 ) -> TrainedModelRecord:
-    """Trains on a dataset and registers the model, unless that very model is in the registry."""
+    """The record of the model trained on a dataset: trained and registered, unless it is in the registry already.
+
+    Raises:
+        TrackingError: MLflow's store cannot be used.
+        DatasetError: the dataset is missing or damaged.
+    """
     began_s = time.monotonic()
     params = {"model": model.model_dump(mode="json"), "trainer": trainer.model_dump(mode="json"), "seed": seed}
-    decisive = [
-        read_manifest(rows_folder).content_hash,
-        *params.values(),
-        source_hash("mrtask/likelihood"),
-        registry.model_dump(),
-    ]
-    key = content_hash(decisive)
+    rows_hash = read_manifest(rows_folder).content_hash
+    key = content_hash([rows_hash, *params.values(), source_hash("mrtask/likelihood"), registry.model_dump()])
     folder = datasets_dir / "models" / f"{model.kind}-{key}"
     console.headline("train", f"{model.kind} on {model.embedding}")
     store = tracking.open_tracking(registry.uri, registry.experiment_name)
@@ -64,21 +66,27 @@ def train(
     if record is not None and _registered(store, record.model_version):
         console.skipped(f"{tracking.MODEL_NAME} version {record.model_version}")
         return record
+    if record is not None:  # of a version that is no longer in the registry
+        shutil.rmtree(folder)
     options = training_options(model, trainer, seed, cache_dir)
+    record = artifacts.make(folder, lambda _: _train_and_register(options, rows_folder, store, params, key))
+    _say(record)
+    console.result(f"{tracking.MODEL_NAME} version {record.model_version}", time.monotonic() - began_s)
+    return record
+
+
+def _train_and_register(
+    options: TrainingOptions, rows_folder: Path, store: tracking.Tracking, params: Mapping[str, Any], key: str
+) -> TrainedModelRecord:
     data = read_dataset(rows_folder)
     tags = {"stage": "train", "training_key": key, "code_version": code_version()}
-    with tracking.run(store, f"train {model.kind}", params, tags) as run_:
+    with tracking.run(store, f"train {options.kind}", params, tags) as run_:
         tracking.log_dataset(run_, data, rows_folder)
         trained = _train(options, data, run_)
         tracking.log_training(run_, trained, data)
         console.line("registering")
         registration = tracking.register_model(run_, trained, data)
-    if record is not None:  # of a version that is no longer in the registry
-        shutil.rmtree(folder)
-    record = artifacts.make(folder, lambda _: _record(trained, data, registration, run_, key))
-    _say(record)
-    console.result(f"{tracking.MODEL_NAME} version {record.model_version}", time.monotonic() - began_s)
-    return record
+        return _record(trained, data, registration, run_, key)
 
 
 def _train(options: TrainingOptions, data: Dataset, run: tracking.Run) -> TrainedModel:

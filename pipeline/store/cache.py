@@ -1,7 +1,7 @@
-"""The user's cache: maps, name embeddings and compiled kernels, all by content, all safe to remove.
+"""The user's cache: maps, embeddings of names and compiled kernels, all of which can be removed at any time.
 
 ``python -m pipeline.store.cache`` (``make clean-cache``) removes it. Every evaluation trims it to ``cache_limit_gb``,
-removing first what was used least recently.
+and what was used least recently goes first.
 """
 
 import contextlib

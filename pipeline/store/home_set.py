@@ -6,7 +6,7 @@ from pathlib import Path
 from mrtask.homes.home import Home
 from mrtask.likelihood.rows import SPLITS
 from pipeline.base.config import EvaluationHomes
-from pipeline.store.home_files import HomeFiles, HouseFiles, MapFiles
+from pipeline.store.home_files import HomeFiles, HouseFiles
 from pipeline.store.records import HomesManifest
 
 
@@ -18,9 +18,9 @@ class HomeSet:
     """The folder of the manifest."""
     manifest: HomesManifest
     houses: HouseFiles
-    """What the model learns from; without maps, the planners are evaluated on the test homes among them."""
-    maps: MapFiles | None = None
-    """With homes=ros_map: what the planners are evaluated on."""
+    """The homes that are split."""
+    instead_of_test: HomeFiles | None = None
+    """What the planners are evaluated on where that is not the test homes: with homes=ros_map, the maps."""
 
     def read(self) -> dict[str, tuple[Home, ...]]:
         """The homes by split, each split in the order of its ids."""
@@ -35,11 +35,13 @@ class HomeSet:
     def evaluation_homes(self, given: EvaluationHomes) -> tuple[HomeFiles, tuple[Home, ...]]:
         """The homes to evaluate planners on, and the files that they are from.
 
-        These are the homes in the files given, else those of the maps, else the test homes. Files that come without a
-        database of assets are read with the one of the set's own houses.
+        These are the homes in the files given, else what stands in for the test homes, else the test homes. Files given
+        without a database of assets are read with that of the set's own houses.
         """
         if given.files:
             assets = given.assets or self.houses.assets
             others = HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
             return others, others.read()
-        return (self.maps, self.maps.read()) if self.maps else (self.houses, self.read()["test"])
+        if self.instead_of_test is not None:
+            return self.instead_of_test, self.instead_of_test.read()
+        return self.houses, self.read()["test"]

@@ -1,4 +1,4 @@
-"""Which code made a result: git's word for people and a hash of the sources for deciding what is up to date."""
+"""Which code made a result: git's description for people, and a hash of the sources to tell what is up to date."""
 
 import subprocess
 from functools import cache

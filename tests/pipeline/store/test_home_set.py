@@ -44,7 +44,7 @@ def test_planners_are_evaluated_on_the_test_homes_or_on_the_maps(home_set: HomeS
     assert home_set.evaluation_homes(NOT_GIVEN) == (home_set.houses, home_set.read()["test"])
     write_lab(tmp_path, CONTAINERS)
     maps = MapFiles(maps=(tmp_path / "lab.yaml",), containers=(tmp_path / "containers.yaml",), worlds=2, seed=0)
-    assert replace(home_set, maps=maps).evaluation_homes(NOT_GIVEN) == (maps, maps.read())
+    assert replace(home_set, instead_of_test=maps).evaluation_homes(NOT_GIVEN) == (maps, maps.read())
 
 
 def test_other_homes_are_evaluated_on_where_they_are_given(home_set: HomeSet, tmp_path: Path) -> None:
