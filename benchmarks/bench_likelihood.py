@@ -26,8 +26,9 @@ from mrtask.homes.split import split_homes
 from mrtask.likelihood.dataset import Dataset, build_dataset
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.frequency import FrequencyModel
-from mrtask.likelihood.network import PAPER_LAYERS, NetworkOptions
-from mrtask.likelihood.training import MODEL_KINDS, NETWORK_KINDS, TrainingOptions, fit, score, score_unseen
+from mrtask.likelihood.kinds import KINDS
+from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
+from mrtask.likelihood.training import fit, score, score_unseen
 
 HOMES = {"train": 500, "validation": 50, "test": 300}
 SPLIT_SALT = "0"
@@ -92,7 +93,7 @@ def jobs(data: Sequence[str], arguments: argparse.Namespace) -> Iterator[Job]:
     """Every model on every dataset; networks with every seed."""
     for name in data:
         for kind in (kind for kind in ORDER if kind in arguments.kinds):
-            for seed in range(arguments.seeds if kind in NETWORK_KINDS else 1):
+            for seed in range(arguments.seeds if kind in ("paper_fcnn", "mlp") else 1):
                 unseen = seed < arguments.unseen_seeds
                 yield Job(name, kind, seed, unseen, arguments.threads, arguments.embedding)
 
@@ -102,7 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--homes", nargs="+", type=Path, default=[], help="house files in ProcTHOR's schema")
     parser.add_argument("--assets", type=Path, help="ProcTHOR's asset database")
-    parser.add_argument("--kinds", nargs="+", choices=MODEL_KINDS, default=MODEL_KINDS)
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=5, help="trainings of each network")
     parser.add_argument("--unseen-seeds", type=int, default=1, help="of those, how many with names held out (10 more)")
     parser.add_argument("--threads", type=int, default=1)

@@ -26,9 +26,10 @@ from mrtask.execution.trials import Trial, home_order, sample_trial
 from mrtask.files import default_cache_dir
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import read_houses
-from mrtask.likelihood.network import PAPER_LAYERS, NetworkOptions
+from mrtask.likelihood.kinds import KINDS
+from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
 from mrtask.likelihood.table import LikelihoodTable, build_table
-from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, fit
+from mrtask.likelihood.training import fit
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 
@@ -85,7 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--homes", nargs="+", type=Path, default=[], help="house files in ProcTHOR's schema")
     parser.add_argument("--assets", type=Path, help="ProcTHOR's asset database")
-    parser.add_argument("--kinds", nargs="+", choices=MODEL_KINDS, default=MODEL_KINDS)
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--per-cell", type=int, default=34, help="trials for each size class and team size")
     parser.add_argument("--samples", type=int, default=1000, help="of the planner")
     arguments = parser.parse_args()

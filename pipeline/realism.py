@@ -13,18 +13,20 @@ from pathlib import Path
 
 import pandas as pd
 from omegaconf import OmegaConf
+from pydantic import TypeAdapter
 
 from mrtask.analysis.floor_plans import draw_gallery
 from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
-from mrtask.likelihood.training import TrainingOptions, score, train_model
+from mrtask.likelihood.options import TrainingOptions
+from mrtask.likelihood.training import score, train_model
 from mrtask.maps.home_map import build_map
 from pipeline import dataset, homes
 from pipeline.app.main import CONF_DIR, main
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
+from pipeline.base.config import Config, GeneratedHomes, Map, Model, Procthor10kHomes, ProcthorHomes, UserError
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
 from pipeline.train import training_options
@@ -126,15 +128,14 @@ def _describe_chunk(number: int, chunks: Sequence[Sequence[Home]], map_options: 
 
 
 def _training_options(config: Config, kind: str) -> TrainingOptions:
-    """The configured options for a model of this kind; a comparison leaves no checkpoints."""
-    model = config.model.model_copy(update={"kind": kind, **_layers(kind)})
-    return replace(training_options(model, config.trainer, config.seed, config.cache_dir), checkpoint_dir=None)
-
-
-def _layers(kind: str) -> dict[str, tuple[int, ...]]:
-    """The layers that the model's own preset names, if any."""
+    """The options of a kind's own preset, on the configured embedding; a comparison leaves no checkpoints."""
     preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
-    return {"layers": tuple(preset["layers"])} if isinstance(preset, dict) and "layers" in preset else {}
+    model = TypeAdapter[Model](Model).validate_python(preset)
+    given = config.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
+    return replace(
+        training_options(model.model_copy(update=given), config.trainer, config.seed, config.cache_dir),
+        checkpoint_dir=None,
+    )
 
 
 def _say(table: str) -> None:

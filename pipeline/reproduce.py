@@ -32,6 +32,7 @@ def run(config: Config, pool: Pool) -> None:
         return result
 
     check(config)
+    train.check(config.model, config.trainer)
     folder = Folder(config.output_dir)
     with locked(folder, config.cache_dir):
         home_set = timed("homes", lambda: homes.run(config, pool))

@@ -11,16 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
+from mrtask.likelihood.embeddings import check_embedding
 from mrtask.likelihood.frequency import FrequencyModel
-from mrtask.likelihood.network import EpochMetrics, NetworkOptions
-from mrtask.likelihood.training import TrainedModel, TrainingOptions, score, train_model
+from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOptions
+from mrtask.likelihood.training import TrainedModel, score, train_model
 from pipeline import dataset
 from pipeline.app.main import main
 from pipeline.backends import tracking
 from pipeline.backends.pool import Pool
 from pipeline.backends.tracking import ChampionError
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, Model, Tracking, Trainer, content_hash
+from pipeline.base.config import Config, Frequency, Model, Network, Tracking, Trainer, content_hash
 from pipeline.store import artifacts
 from pipeline.store.records import TrainedModelRecord
 from pipeline.store.version import code_version, source_hash
@@ -30,7 +31,22 @@ SHOWN_METRICS = ("log_loss", "roc_auc")
 
 def run(config: Config, pool: Pool) -> TrainedModelRecord:
     """The stage: the record of the trained model."""
+    check(config.model, config.trainer)
     return train_on(dataset.run(config, pool), config)
+
+
+def check(model: Model, trainer: Trainer) -> None:
+    """Refuses, before any work, an embedding that cannot be loaded and a device that this machine does not have.
+
+    Raises:
+        InputError: with what is wrong and what is allowed.
+    """
+    if not isinstance(model, Frequency):
+        check_embedding(model.embedding)
+    if isinstance(model, Network) and trainer.device != "auto":
+        from mrtask.likelihood.network import find_device  # torch takes seconds to import
+
+        find_device(trainer.device)
 
 
 def train_on(rows_folder: Path, config: Config) -> TrainedModelRecord:
@@ -60,7 +76,7 @@ def train(
     rows_hash = read_manifest(rows_folder).content_hash
     key = content_hash([rows_hash, *params.values(), source_hash("mrtask/likelihood"), registry.model_dump()])
     folder = datasets_dir / "models" / f"{model.kind}-{key}"
-    console.headline("train", f"{model.kind} on {model.embedding}")
+    console.headline("train", model.kind if isinstance(model, Frequency) else f"{model.kind} on {model.embedding}")
     store = tracking.open_tracking(registry.uri, registry.experiment_name)
     record = artifacts.find_manifest(folder, TrainedModelRecord)
     if record is not None and _registered(store, record.model_version):
@@ -110,12 +126,10 @@ def _train(options: TrainingOptions, data: Dataset, run: tracking.Run) -> Traine
 
 def training_options(model: Model, trainer: Trainer, seed: int, cache_dir: Path) -> TrainingOptions:
     """The configured model and trainer as the library's options; checkpoints go to the cache."""
+    of_network = {"layers", "dropout"}
     return TrainingOptions(
-        kind=model.kind,
-        embedding=model.embedding,
-        network=NetworkOptions(layers=model.layers, dropout=model.dropout, seed=seed, **trainer.model_dump()),
-        regularisation=model.regularisation,
-        smoothing=model.smoothing,
+        **model.model_dump(exclude=of_network),
+        network=NetworkOptions(seed=seed, **trainer.model_dump(), **model.model_dump(include=of_network)),
         cache_dir=cache_dir,
         checkpoint_dir=cache_dir / "checkpoints",
     )

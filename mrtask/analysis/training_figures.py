@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from mrtask.likelihood.network import EpochMetrics
+from mrtask.likelihood.options import EpochMetrics
 
 LOWEST_SHOWN = 1e-3
 """Where the axes of an empty plot begin."""

@@ -45,7 +45,7 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
     """Embeddings ``[N, D]`` of the names, in their order; ``cache_dir`` (default: ``default_cache_dir()``) keeps them.
 
     Any number of processes may share the cache: a vector's file appears whole or not at all, and a damaged one is made
-    again. A cache that cannot be written is done without. Raises ``EmbeddingError`` when the model cannot be loaded.
+    again. Works without a cache that cannot be written. Raises ``EmbeddingError`` when the model cannot be loaded.
     """
     folder = (cache_dir or default_cache_dir()) / "embeddings" / _model_key(model)
     texts = [name_to_text(name) for name in names]
@@ -64,6 +64,12 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
 
 class EmbeddingError(InputError):
     """An embedding model that is missing, damaged or cannot be loaded."""
+
+
+def check_embedding(model: str) -> None:
+    """Raises `EmbeddingError` unless the model can be loaded here; the bundled one is taken to be right."""
+    if model != BUNDLED:
+        _load(model)
 
 
 @functools.cache

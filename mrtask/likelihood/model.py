@@ -4,9 +4,7 @@ A stored model is a folder with ``model.json`` (its ``kind``, options and the sh
 files (safetensors, CSV). Nothing in it is code, so loading one runs none.
 """
 
-import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,6 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mrtask.errors import InputError
+from mrtask.files import replacing, sha256_of
 from mrtask.likelihood.rows import TRIPLE
 
 FORMAT_VERSION = 1
@@ -29,7 +29,7 @@ class LikelihoodModel(Protocol):
 
     @property
     def kind(self) -> str:
-        """What ``load_model`` dispatches on."""
+        """Its name in `mrtask.likelihood.kinds.KINDS`."""
         ...
 
     def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
@@ -41,7 +41,7 @@ class LikelihoodModel(Protocol):
         ...
 
 
-class ModelError(ValueError):
+class ModelError(InputError):
     """A stored model that is missing, damaged or of another format."""
 
 
@@ -63,11 +63,12 @@ def clip_probs(probs: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
 
 def write_description(folder: Path, kind: str, content: Mapping[str, object]) -> None:
     """Write ``model.json`` last, with the hash of every file that the folder holds already."""
-    files = {path.relative_to(folder).as_posix(): _sha256(path) for path in sorted(folder.rglob("*")) if path.is_file()}
+    files = {
+        path.relative_to(folder).as_posix(): sha256_of(path) for path in sorted(folder.rglob("*")) if path.is_file()
+    }
     text = json.dumps({"format_version": FORMAT_VERSION, "kind": kind, "files": files, **content}, indent=1)
-    temporary = folder / f".{DESCRIPTION_FILE}.{os.getpid()}"
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, folder / DESCRIPTION_FILE)
+    with replacing(folder / DESCRIPTION_FILE) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def read_description(folder: Path) -> dict[str, Any]:
@@ -86,7 +87,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     if version != FORMAT_VERSION:
         raise ModelError(f"{path}: format version {version}, this code reads {FORMAT_VERSION}; train the model again")
     for name, expected in files.items():
-        if not (folder / name).is_file() or _sha256(folder / name) != expected:
+        if not (folder / name).is_file() or sha256_of(folder / name) != expected:
             raise ModelError(
                 f"{folder / name} is missing or damaged (not the sha256 that {DESCRIPTION_FILE} names); "
                 "train the model again or roll back to another version"
@@ -105,33 +106,3 @@ def read_triples(folder: Path) -> pd.DataFrame:
     if list(triples.columns) != [*TRIPLE, "positives", "count"]:
         raise ModelError(f"{folder / COUNTS_FILE} has the columns {list(triples.columns)}; train the model again")
     return triples
-
-
-def load_model(folder: Path, cache_dir: Path | None = None) -> LikelihoodModel:
-    """The model stored in a folder, of whatever kind; ``cache_dir`` keeps the embeddings of names (``embed_names``)."""
-    description = read_description(folder)
-    # Each kind is imported when it is needed: the networks' torch takes seconds.
-    match description["kind"]:
-        case "frequency":
-            from mrtask.likelihood.frequency import FrequencyModel
-
-            return FrequencyModel.load(folder, description)
-        case "similarity":
-            from mrtask.likelihood.similarity import SimilarityModel
-
-            return SimilarityModel.load(folder, description, cache_dir)
-        case "logistic":
-            from mrtask.likelihood.logistic import LogisticModel
-
-            return LogisticModel.load(folder, description, cache_dir)
-        case "paper_fcnn" | "mlp":
-            from mrtask.likelihood.network import NetworkModel
-
-            return NetworkModel.load(folder, description, cache_dir)
-        case kind:
-            raise ModelError(f"{folder}: unknown kind of model {kind!r}: update mrtask, or train the model again")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -17,7 +17,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,55 +31,14 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn import functional
 
+from mrtask.errors import InputError
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, write_description
+from mrtask.likelihood.options import EpochCallback, EpochMetrics, NetworkOptions
 
-PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
 WARM_UP = 0.2
 WEIGHTS_FILE = "weights.safetensors"
-DEVICES = ("auto", "cpu", "cuda", "mps")
-
-EpochMetrics = dict[str, float]
-EpochCallback = Callable[[int, EpochMetrics], None]
-
-
-@dataclass(frozen=True)
-class NetworkOptions:
-    """How a network is built and trained.
-
-    ``learning_rate`` is that of the weight matrices, ``scale_learning_rate`` that of what sets the size of the log odds
-    (see the module); both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's
-    number.
-    """
-
-    layers: tuple[int, ...] = PAPER_LAYERS
-    learning_rate: float = 1e-3
-    scale_learning_rate: float = 3e-2
-    weight_decay: float = 1e-2
-    dropout: float = 0.0
-    batch_size: int = 256
-    max_epochs: int = 30
-    patience: int = 20
-    seed: int = 0
-    device: str = "auto"
-    threads: int = 2
-    checkpoint_every: int = 5
-
-    def __post_init__(self) -> None:
-        if not self.layers or min(self.layers) < 1:
-            raise ValueError(f"layers must be one or more positive widths, got {self.layers}")
-        if self.device not in DEVICES:
-            raise ValueError(f"unknown device {self.device!r}; allowed: {', '.join(DEVICES)}")
-        for name in ("batch_size", "max_epochs", "patience", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.batch_size < 2:
-            raise ValueError("batch_size must be at least 2: batch norm needs more than one row")
-        if min(self.learning_rate, self.scale_learning_rate) <= 0:
-            raise ValueError(f"learning_rate and scale_learning_rate must be above 0, got {self}")
-        if self.weight_decay < 0 or not 0 <= self.dropout < 1 or self.threads < 0:
-            raise ValueError(f"weight_decay >= 0, 0 <= dropout < 1, threads >= 0 needed, got {self}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +152,7 @@ def train_network(
     """
     if len(features) < 2:
         raise ValueError(f"a network needs at least 2 distinct training triples, got {len(features)}")
-    device = _device(options.device)
+    device = find_device(options.device)
     with _threads(options.threads):
         run = _Run(features, triples, validation_features, validation, options, device)
         path = None if checkpoint_dir is None else checkpoint_dir / f"{run.fingerprint[:16]}.safetensors"
@@ -360,15 +319,18 @@ def _fingerprint(
     return digest.hexdigest()
 
 
-def _device(name: str) -> torch.device:
+def find_device(name: str) -> torch.device:
+    """The device of that name; ``auto`` is a GPU where there is one.
+
+    Raises:
+        InputError: this machine, or this torch, does not have it.
+    """
     if name == "auto":
-        if torch.cuda.is_available():
-            return torch.device("cuda")
-        return torch.device("cpu")
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda" and not torch.cuda.is_available():
-        raise ValueError("device 'cuda' asked for, but torch sees no GPU; use device=auto or cpu")
+        raise InputError("device cuda: torch sees no GPU here; give auto or cpu")
     if name == "mps" and not torch.backends.mps.is_available():
-        raise ValueError("device 'mps' asked for, but torch sees none; use device=auto or cpu")
+        raise InputError("device mps: torch sees none here; give auto or cpu")
     return torch.device(name)
 
 

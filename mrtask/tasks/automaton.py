@@ -132,7 +132,8 @@ def build_automaton(
     try:
         graph, accepting = _explore(parsed, letters, max_states)
     except FormulaTooLargeError as error:
-        raise FormulaTooLargeError(f"the automaton of {formula!r} is too large: {error}; simplify it") from None
+        message = f"the automaton of {formula!r} is too large: {error}; simplify the formula"
+        raise FormulaTooLargeError(message) from None
     except _TooManyStatesError:
         raise FormulaTooLargeError(
             f"the automaton of {formula!r} is too large: it has more than max_states={max_states} states before "

@@ -12,7 +12,8 @@ from mlflow.models import set_model
 from mlflow.pyfunc import PythonModel  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
-from mrtask.likelihood.model import LikelihoodModel, load_model
+from mrtask.likelihood.kinds import load_model
+from mrtask.likelihood.model import LikelihoodModel
 
 
 class LikelihoodPyfunc(PythonModel):

@@ -38,8 +38,9 @@ import mrtask
 from mrtask.analysis.training_figures import loss_curves, reliability_plot
 from mrtask.likelihood.dataset import CARD_FILE, MANIFEST_FILE, Dataset
 from mrtask.likelihood.frequency import FrequencyModel
+from mrtask.likelihood.kinds import load_model
 from mrtask.likelihood.metrics import evaluate_by, reliability
-from mrtask.likelihood.model import LikelihoodModel, ModelError, load_model
+from mrtask.likelihood.model import LikelihoodModel, ModelError
 from mrtask.likelihood.rows import SPLITS, TRIPLE, distinct_triples
 from mrtask.likelihood.training import TrainedModel, score
 from pipeline.base.config import UserError

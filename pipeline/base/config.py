@@ -137,15 +137,40 @@ class Map(_Section):
 ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
 
 
-class Model(_Section):
-    """Which likelihood model, on which embedding of names."""
+class Similarity(_Section):
+    """Counts of the training homes, shared among similar names."""
 
-    kind: ModelKind
+    kind: Literal["similarity"]
+    embedding: str = Field(min_length=1)
+    smoothing: float = Field(gt=0)
+
+
+class Network(_Section):
+    """A network on the embeddings of names."""
+
+    kind: Literal["paper_fcnn", "mlp"]
     embedding: str = Field(min_length=1)
     layers: Annotated[tuple[Positive, ...], Field(min_length=1)]
     dropout: float = Field(ge=0, lt=1)
+
+
+class Logistic(_Section):
+    """Logistic regression on the embeddings of names."""
+
+    kind: Literal["logistic"]
+    embedding: str = Field(min_length=1)
     regularisation: float = Field(gt=0)
+
+
+class Frequency(_Section):
+    """The table of counts."""
+
+    kind: Literal["frequency"]
     smoothing: float = Field(gt=0)
+
+
+Model = Annotated[Similarity | Network | Logistic | Frequency, Field(discriminator="kind")]
+"""Which likelihood model, with the options of its kind."""
 
 
 class Trainer(_Section):
@@ -228,6 +253,10 @@ class Tracking(_Section):
         return scheme + str(_absolute(Path(uri.removeprefix(scheme)))) if uri.startswith(scheme) else uri
 
 
+UNIONS = {"homes": HOME_SOURCES, "model": get_args(ModelKind)}
+"""Sections whose keys depend on their kind, with the kinds."""
+
+
 class Config(_Section):
     """All of it, resolved and checked."""
 
@@ -298,9 +327,11 @@ _BOUNDS = {
 def _explain(item: Any) -> str:
     """One pydantic error as ``key=value: what is allowed``."""
     path = [str(part) for part in item["loc"]]
-    if path[0] == "homes" and len(path) > 1 and path[1] in HOME_SOURCES:
+    if path[0] in UNIONS and len(path) > 1 and path[1] in UNIONS[path[0]]:
         del path[1]
-    key, kind, context = ".".join(path), item["type"], item.get("ctx", {})
+    key, kind, context, given = ".".join(path), item["type"], item.get("ctx", {}), item["input"]
+    if kind == "union_tag_invalid":
+        key, given = f"{key}.{context['discriminator'].strip(chr(39))}", context["tag"]
     if kind == "extra_forbidden":
         return f"{key}: no such key; {_suggest_keys(path)}"
     if kind == "missing":
@@ -311,7 +342,7 @@ def _explain(item: Any) -> str:
         message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
     else:
         message = item["msg"].removeprefix("Value error, ")
-    return f"{key}={item['input']}: {message}"
+    return f"{key}={given}: {message}"
 
 
 def _suggest_keys(path: list[str]) -> str:
@@ -320,8 +351,9 @@ def _suggest_keys(path: list[str]) -> str:
         known = model.model_fields.get(part)
         if known is None:
             return suggest(part, list(model.model_fields))
-        if part == "homes" and model is Config:
-            return suggest(path[-1], sorted({key for kind in get_args(Homes) for key in kind.model_fields}))
+        if model is Config and part in UNIONS:
+            members = get_args(known.annotation)
+            return suggest(path[-1], sorted({key for member in members for key in member.model_fields}))
         if not (isinstance(known.annotation, type) and issubclass(known.annotation, BaseModel)):
             return f"`--cfg job` shows what {part} has"
         model = known.annotation

@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.likelihood.model import PROB_FLOOR, ModelError, load_model
-from mrtask.likelihood.network import NetworkOptions
-from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, train_model
+from mrtask.likelihood.kinds import KINDS, load_model
+from mrtask.likelihood.model import PROB_FLOOR, ModelError
+from mrtask.likelihood.options import NetworkOptions, TrainingOptions
+from mrtask.likelihood.training import train_model
 
 WEIRD = ["", " ", "遥控器", "télécommande", "🛋️", "\ud800", "NA", "x" * 10_000, 'a,b\n"c"', "RemoteControl", "null\0"]
 
@@ -19,11 +20,11 @@ def models(made_up_dataset, embedding_cache):
     network = NetworkOptions(layers=(16, 8), max_epochs=10, device="cpu", threads=1)
     return {
         kind: train_model(made_up_dataset, TrainingOptions(kind, network=network, cache_dir=embedding_cache)).model
-        for kind in MODEL_KINDS
+        for kind in KINDS
     }
 
 
-@pytest.fixture(params=MODEL_KINDS)
+@pytest.fixture(params=KINDS)
 def model(models, request):
     return models[request.param]
 
@@ -78,7 +79,7 @@ def test_names_that_look_like_nothing_survive_storage(models, tmp_path, home_of)
     assert np.array_equal(load_model(tmp_path / "model").predict(triples), model.predict(triples))
 
 
-@pytest.mark.parametrize("kind", MODEL_KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("damage", ["truncated", "one byte", "missing"])
 def test_damaged_files_are_refused(models, tmp_path, kind, damage):
     models[kind].save(tmp_path / "model")

@@ -10,15 +10,14 @@ import torch
 from torch import nn
 
 from mrtask.likelihood.network import (
-    PAPER_LAYERS,
     NetworkModel,
-    NetworkOptions,
     build_module,
     predict_features,
     set_statistics,
     train_network,
     weighted_loss,
 )
+from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions
 
 SMALL = NetworkOptions(layers=(16, 8), max_epochs=12, patience=12, batch_size=16, device="cpu", threads=1)
 
@@ -213,7 +212,7 @@ def test_bad_options(wrong, message):
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without a GPU")
 def test_a_gpu_asked_for_in_vain(problem):
-    with pytest.raises(ValueError, match="torch sees no GPU; use device=auto or cpu"):
+    with pytest.raises(ValueError, match="torch sees no GPU here; give auto or cpu"):
         train_network(*problem, replace(SMALL, device="cuda"))
 
 

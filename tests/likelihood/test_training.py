@@ -6,13 +6,14 @@ import pytest
 
 from mrtask.homes.procthor import read_houses
 from mrtask.likelihood.dataset import build_dataset
-from mrtask.likelihood.network import NetworkOptions
-from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions, score_unseen, train_model
+from mrtask.likelihood.kinds import KINDS
+from mrtask.likelihood.options import NetworkOptions, TrainingOptions
+from mrtask.likelihood.training import score_unseen, train_model
 
 NETWORK = NetworkOptions(layers=(32, 16), max_epochs=150, patience=150, batch_size=64, device="cpu", threads=1)
 
 
-@pytest.mark.parametrize("kind", MODEL_KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_comes_near_the_true_likelihoods(made_up_dataset, true_probs, embedding_cache, kind):
     epochs, phases = [], []
     options = TrainingOptions(kind, network=NETWORK, cache_dir=embedding_cache)
@@ -31,9 +32,9 @@ def test_comes_near_the_true_likelihoods(made_up_dataset, true_probs, embedding_
     assert trained.metrics["test"]["rows"] == 80 * 25
 
 
-def test_unknown_kind():
+def test_unknown_kind(made_up_dataset):
     with pytest.raises(ValueError, match="unknown likelihood model 'oracle'; allowed: similarity, paper_fcnn, mlp"):
-        TrainingOptions("oracle")
+        train_model(made_up_dataset, TrainingOptions("oracle"))
     with pytest.raises(ValueError, match="regularisation and smoothing must be above 0"):
         TrainingOptions(smoothing=0.0)
 

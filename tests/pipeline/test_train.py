@@ -3,7 +3,10 @@
 from pathlib import Path
 
 import mlflow
+import pytest
+import torch
 
+from mrtask.likelihood import embeddings
 from pipeline.backends import tracking
 from pipeline.train import find_record
 from tests.pipeline.harness import Cli, Workspace
@@ -27,3 +30,39 @@ def test_the_record_of_a_version_is_that_of_its_registry(workspace: Workspace, t
     assert find_record(datasets, uri, "99") is None
     assert find_record(datasets, "sqlite:///elsewhere.db", "1") is None
     assert find_record(tmp_path, uri, "1") is None
+
+
+@pytest.fixture
+def offline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No hub is asked, whatever network there is."""
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    embeddings._load.cache_clear()
+
+
+@pytest.mark.usefixtures("offline")
+@pytest.mark.parametrize("stage", ["train", "reproduce"])
+def test_an_embedding_that_cannot_be_loaded_is_refused_before_any_work(
+    workspace: Workspace, cli: Cli, tmp_path: Path, stage: str
+) -> None:
+    finished = cli(stage, *workspace.overrides, "model=similarity", "model.embedding=typo", cwd=tmp_path)
+    assert finished.code == 2
+    assert "the embedding model 'typo' cannot be loaded" in finished.err and "'bundled-minilm'" in finished.err
+    assert finished.out == ""
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_device_that_is_not_there_is_refused_before_any_work(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    finished = cli("train", *workspace.overrides, "model=mlp", "trainer.device=cuda", cwd=tmp_path)
+    assert finished.code == 2
+    assert finished.err == "error: device cuda: torch sees no GPU here; give auto or cpu\n"
+    assert finished.out == ""
+
+
+def test_a_formula_whose_automaton_grows_too_large_is_refused_before_any_work(
+    workspace: Workspace, cli: Cli, tmp_path: Path
+) -> None:
+    formula = " & ".join(f"F a{number}" for number in range(20))
+    finished = cli("evaluate", *workspace.overrides, f"evaluation.formula='{formula}'", cwd=tmp_path)
+    assert finished.code == 2
+    assert "is too large" in finished.err and "simplify" in finished.err

@@ -13,8 +13,8 @@ import pytest
 
 from mrtask.homes.home import Container, Home, Room
 from mrtask.likelihood.dataset import build_dataset, write_dataset
-from mrtask.likelihood.network import NetworkOptions
-from mrtask.likelihood.training import TrainingOptions, train_model
+from mrtask.likelihood.options import NetworkOptions, TrainingOptions
+from mrtask.likelihood.training import train_model
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

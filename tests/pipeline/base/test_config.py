@@ -7,13 +7,14 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from mrtask.likelihood.training import MODEL_KINDS, TrainingOptions
+from mrtask.likelihood.kinds import KINDS
+from mrtask.likelihood.options import TrainingOptions
 from mrtask.planning.paper import PaperOptions
 from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline import train
 from pipeline.app.main import CONF_DIR
-from pipeline.base.config import Config, Model, UserError, content_hash, load
+from pipeline.base.config import Config, ModelKind, UserError, content_hash, load
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +82,7 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["evaluation.max_failed_fraction=2"], ["at most 1"]),
         (["evaluation.rerun=[failled]"], ["'error', 'timeout', 'failed'"]),
         (["map.resolution_m=-1"], ["map.resolution_m", "greater than 0"]),
-        (["model.kind=transformer"], ["model.kind=transformer", *MODEL_KINDS]),
+        (["model.kind=transformer"], ["model.kind=transformer", *KINDS]),
         (["cluster.address=nowhere"], ["cluster.address=nowhere"]),
         (["homes=procthor"], ["homes.files", "a value is needed"]),
         (["homes=procthor", "homes.files=[]"], ["homes.files"]),
@@ -90,12 +91,14 @@ def test_single_values_stand_for_lists_of_one() -> None:
             ["homes=ros_map", "homes.map=[a.yaml,b.yaml]", "homes.containers=c.yaml"],
             ["homes.map lists 2 and homes.containers 1; give one for each map"],
         ),
-        (["realism.models=[best]"], ["realism.models.0=best", *MODEL_KINDS]),
+        (["realism.models=[best]"], ["realism.models.0=best", *KINDS]),
         (["+foo=1"], ["foo: no such key", "evaluation", "homes"]),
         (["+evaluation.robot=1"], ["evaluation.robot: no such key", "did you mean robots?"]),
         (["+homes.count=1"], ["homes.count: no such key", "train"]),
         (["seed=-1", "evaluation.robots=[0]"], ["seed=-1", "evaluation.robots.0=0"]),
         (["seed=many"], ["seed=many", "integer"]),
+        (["model=frequency", "+model.layers=[3]"], ["model.layers: no such key", "smoothing"]),
+        (["model.kind=oracle"], ["model.kind=oracle", "allowed: 'similarity', 'paper_fcnn'"]),
     ],
 )
 def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: list[str]) -> None:
@@ -114,7 +117,9 @@ def test_options_of_an_own_planner_stand_under_its_name() -> None:
 
 
 def test_model_kinds_and_training_options_fit_the_library() -> None:
-    assert get_args(Model.model_fields["kind"].annotation) == MODEL_KINDS
+    assert get_args(ModelKind) == tuple(KINDS)
+    for kind in KINDS:
+        assert make(f"model={kind}").model.kind == kind
     config = make("model=mlp", "seed=3", "trainer.max_epochs=7")
     options = train.training_options(config.model, config.trainer, config.seed, config.cache_dir)
     assert isinstance(options, TrainingOptions)

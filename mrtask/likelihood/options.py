@@ -1,0 +1,73 @@
+"""How likelihood models are trained: the options of all kinds, free of torch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mrtask.likelihood.embeddings import BUNDLED
+
+PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
+DEVICES = ("auto", "cpu", "cuda", "mps")
+
+EpochMetrics = dict[str, float]
+EpochCallback = Callable[[int, EpochMetrics], None]
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """How a network is built and trained; see `mrtask.likelihood.network`.
+
+    ``learning_rate`` is that of the weight matrices, ``scale_learning_rate`` that of what sets the size of the log
+    odds; both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's number.
+    """
+
+    layers: tuple[int, ...] = PAPER_LAYERS
+    learning_rate: float = 1e-3
+    scale_learning_rate: float = 3e-2
+    weight_decay: float = 1e-2
+    dropout: float = 0.0
+    batch_size: int = 256
+    max_epochs: int = 30
+    patience: int = 20
+    seed: int = 0
+    device: str = "auto"
+    threads: int = 2
+    checkpoint_every: int = 5
+
+    def __post_init__(self) -> None:
+        if not self.layers or min(self.layers) < 1:
+            raise ValueError(f"layers must be one or more positive widths, got {self.layers}")
+        if self.device not in DEVICES:
+            raise ValueError(f"unknown device {self.device!r}; allowed: {', '.join(DEVICES)}")
+        for name in ("batch_size", "max_epochs", "patience", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.batch_size < 2:
+            raise ValueError("batch_size must be at least 2: batch norm needs more than one row")
+        if min(self.learning_rate, self.scale_learning_rate) <= 0:
+            raise ValueError(f"learning_rate and scale_learning_rate must be above 0, got {self}")
+        if self.weight_decay < 0 or not 0 <= self.dropout < 1 or self.threads < 0:
+            raise ValueError(f"weight_decay >= 0, 0 <= dropout < 1, threads >= 0 needed, got {self}")
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Which model, on which embedding, and the options of each kind.
+
+    ``network`` is for ``paper_fcnn`` and ``mlp``; ``regularisation`` for ``logistic`` (scikit-learn's C); ``smoothing``
+    for ``frequency`` and ``similarity``: how many rows the coarser estimate is worth.
+    """
+
+    kind: str = "similarity"
+    embedding: str = BUNDLED
+    network: NetworkOptions = field(default_factory=NetworkOptions)
+    regularisation: float = 1.0
+    smoothing: float = 5.0
+    cache_dir: Path | None = None
+    checkpoint_dir: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.regularisation <= 0 or self.smoothing <= 0:
+            raise ValueError(
+                f"regularisation and smoothing must be above 0, got {self.regularisation}, {self.smoothing}"
+            )
