@@ -22,7 +22,7 @@ Variant = str
 """What a sweep changed, as text (``planner.pouct.samples=100``); empty where there was no sweep."""
 
 
-def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
+def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
     """A checked copy, in the order of its keys, with float costs (NaN unless accepted) and a ``variant`` column.
 
     Raises:

@@ -16,11 +16,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mrtask.analysis import curves, facts, figures, tables
-from mrtask.analysis.episodes import Variant, prepare, variants_in_order
+from mrtask.analysis.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.published import load_published
-from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, LEAST_FOR_INTERVAL, RESAMPLES, Summary, summarise
-from mrtask.analysis.style import data_uri, short_name
+from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, Summary, summarise
+from mrtask.analysis.style import data_uri, planner_label
 from mrtask.analysis.trajectories import Pick, draw_trial, instructive_trials
 from mrtask.homes.home import Home
 
@@ -57,7 +57,7 @@ def render_report(
     Raises:
         ValueError: the episodes are not what they should be; nothing is written then.
     """
-    frame = prepare(episodes)
+    frame = checked_episodes(episodes)
     published = load_published()
     variants = variants_in_order(frame) or [""]
     summaries = {variant: summarise(frame[frame["variant"] == variant]) for variant in variants}
@@ -73,7 +73,7 @@ def render_report(
         "question": _question(planner),
         "findings": findings,
         "warnings": warnings,
-        "planner": short_name(planner) if planner else None,
+        "planner": planner_label(planner) if planner else None,
         "shown": shown,
         "variants": variants if len(variants) > 1 else [],
         "variant_table": tables.variant_table(summaries, planner),
@@ -106,7 +106,7 @@ def render_report(
         "citation_url": published.url,
         "episodes": len(frame),
         "resamples": RESAMPLES,
-        "least_for_interval": LEAST_FOR_INTERVAL,
+        "least_for_interval": MIN_TRIALS_FOR_INTERVAL,
     }
     source = resources.files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
@@ -121,7 +121,7 @@ def render_report(
 
 def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[Pick]:
     """The trials that the report of these episodes draws, so that no other home or trace needs loading."""
-    frame = prepare(episodes)
+    frame = checked_episodes(episodes)
     rows = frame[frame["variant"] == (variants_in_order(frame) or [""])[-1]]
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
@@ -134,7 +134,7 @@ def _main_planner(summary: Summary, manifest: Mapping[str, Any]) -> str | None:
 
 
 def _question(planner: str | None) -> str:
-    who = f"the planner {short_name(planner)}" if planner else "the learning-informed planner"
+    who = f"the planner {planner_label(planner)}" if planner else "the learning-informed planner"
     return f"Does {who} beat the baselines, by how much, and how does that compare with the published results?"
 
 
@@ -190,7 +190,7 @@ def _where_search_helps(rows: pd.DataFrame, planner: str | None) -> str:
         for how, teams in (("clearly sooner", found.clear), ("not clearly sooner", found.unclear))
         if teams
     ]
-    return f"Against {RULE}, {short_name(planner or '')} is {' robots, '.join(told)} robots."
+    return f"Against {RULE}, {planner_label(planner or '')} is {' robots, '.join(told)} robots."
 
 
 def _trajectories(rows: pd.DataFrame, homes: Mapping[str, Home], planner: str | None) -> list[Picture]:

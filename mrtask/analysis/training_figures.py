@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from mrtask.likelihood.network import EpochMetrics
 
-LOWEST_SHOWN = 1e-3
+MIN_SHOWN_PROB = 1e-3
 """Where the axes of an empty plot begin."""
 
 
@@ -38,7 +38,7 @@ def reliability_plot(reliability: pd.DataFrame) -> Figure:
         for frequency, rows in zip(reliability["frequency"], reliability["rows"], strict=True)
     ]
     smallest = reliability[["mean_prob", "frequency"]].to_numpy().ravel()
-    low = min((float(value) for value in smallest if value > 0), default=LOWEST_SHOWN) / 2
+    low = min((float(value) for value in smallest if value > 0), default=MIN_SHOWN_PROB) / 2
     axes.plot([low, 1.0], [low, 1.0], color="gray", linestyle="--", label="perfect")
     axes.vlines(reliability["mean_prob"], [max(test.low, low) for test in tests], [test.high for test in tests])
     found = reliability[reliability["frequency"] > 0]

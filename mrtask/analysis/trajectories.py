@@ -20,7 +20,7 @@ from matplotlib.patches import Polygon as DrawnPolygon
 from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.analysis.statistics import paired_costs
-from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, robot_color, short_name
+from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, robot_color, planner_label
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 
@@ -28,9 +28,9 @@ ROOM_COLORS = {"Kitchen": "#fdf3e1", "LivingRoom": "#eef4ea", "Bedroom": "#eaf0f
 OTHER_ROOM_COLOR = "#f4f4f4"
 FURNITURE, OBSTACLE, WALL = "#d5d0c8", "#e9e6e1", "#4a4a4a"
 PANEL_WIDTH_IN, MAX_HEIGHT_IN = 5.3, 6.5
-SHORTEST_SHOWN_WAIT_S = 0.5
-ARROW_LEAST_M = 0.6
-LABEL_AREA_M2 = 0.3
+MIN_SHOWN_WAIT_S = 0.5
+MIN_ARROW_M = 0.6
+MIN_LABEL_AREA_M2 = 0.3
 """Smaller furniture is labelled only where it matters to the episode."""
 BACKDROP = {"facecolor": "white", "alpha": 0.55, "linewidth": 0, "pad": 0.6}
 ONE_PLANNER_PICKS = ("the longest", "the median", "the shortest")
@@ -102,15 +102,15 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
             trace = Trace.from_json(row["trace"])
             robots = max(robots, len(trace.robots))
             waited |= any(_is_shown_wait(leg) for legs in trace.robots for leg in legs)
-            draw_home(axes, home, task_objects(row.get("objects")), _visited(trace))
+            draw_plan(axes, home, task_objects(row.get("objects")), _visited(trace))
             draw_trace(axes, trace, home)
-            axes.set_title(f"{short_name(planner)}: {row['cost_s']:.1f} s")
+            axes.set_title(f"{planner_label(planner)}: {row['cost_s']:.1f} s")
             axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
         figure.legend(handles=_legend(robots, waited), loc="outside lower center", ncols=8, fontsize=8)
     return figure
 
 
-def draw_home(axes: Axes, home: Home, objects: Sequence[str] = (), labelled: Collection[str] = ()) -> None:
+def draw_plan(axes: Axes, home: Home, objects: Sequence[str] = (), labelled: Collection[str] = ()) -> None:
     """Rooms, doors and furniture; containers that hold one of ``objects`` are outlined and say what they hold."""
     for room in home.rooms:
         color = ROOM_COLORS.get(room.type, OTHER_ROOM_COLOR)
@@ -150,7 +150,7 @@ def _draw_container(axes: Axes, container: Container, held: Sequence[str], label
         )
     )  # fmt: skip
     shape = ShapelyPolygon(container.footprint)
-    if held or labelled or shape.area > LABEL_AREA_M2:
+    if held or labelled or shape.area > MIN_LABEL_AREA_M2:
         name = container.type + (f"\n[{', '.join(held)}]" if held else "")
         axes.text(
             shape.centroid.x, shape.centroid.y, name, ha="center", va="center", fontsize=5.5,
@@ -208,7 +208,7 @@ def _visited(trace: Trace) -> set[str]:
 
 
 def _is_shown_wait(leg: Leg) -> bool:
-    return leg.kind == "wait" and leg.t1_s - leg.t0_s > SHORTEST_SHOWN_WAIT_S
+    return leg.kind == "wait" and leg.t1_s - leg.t0_s > MIN_SHOWN_WAIT_S
 
 
 def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
@@ -230,7 +230,7 @@ def _arrow(axes: Axes, path: Sequence[Point], color: str) -> None:
     """An arrow head in the middle of the longest straight stretch."""
     points = np.array(path)
     lengths = np.hypot(*np.diff(points, axis=0).T)
-    if not len(lengths) or lengths.max() < ARROW_LEAST_M:
+    if not len(lengths) or lengths.max() < MIN_ARROW_M:
         return
     longest = int(lengths.argmax())
     tail, head = points[longest], points[longest + 1]

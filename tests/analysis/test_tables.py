@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import summarise
 from mrtask.analysis.tables import (
@@ -33,7 +33,7 @@ def entries(table: Table, label: str, after: str = "") -> list[list[str]]:
 
 
 def summary_of(frame: pd.DataFrame):
-    return summarise(prepare(frame))
+    return summarise(checked_episodes(frame))
 
 
 def test_csv_by_hand():

@@ -3,7 +3,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from mrtask.analysis.style import data_uri
-from mrtask.analysis.trajectories import Pick, draw_home, draw_trace, draw_trial, instructive_trials, task_objects
+from mrtask.analysis.trajectories import Pick, draw_plan, draw_trace, draw_trial, instructive_trials, task_objects
 from mrtask.execution.trace import Leg, Letter, Trace
 from mrtask.homes.home import Container, Home, Room
 from tests.analysis.synthetic import fail, rows
@@ -32,7 +32,7 @@ def drawn_texts(axes):
 
 def test_draws_what_happened(two_room_home, trace):
     axes = Figure().subplots()
-    draw_home(axes, two_room_home, ("Egg", "Pillow"), ())
+    draw_plan(axes, two_room_home, ("Egg", "Pillow"), ())
     draw_trace(axes, trace, two_room_home)
     texts = drawn_texts(axes)
     assert {"Kitchen", "Bedroom", "Fridge\n[Egg]", "Bed\n[Pillow]", "DiningTable", "Egg 3 s", "Pillow 12 s"} <= set(
