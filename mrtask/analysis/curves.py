@@ -23,8 +23,8 @@ from mrtask.analysis.statistics import (
     Floats,
     improvement_of_means,
 )
+from mrtask.analysis.style import BLACK, GREY, counted, house_style, new_figure, planner_label, planner_looks, seconds
 from mrtask.planning.planners import planners_in_order
-from mrtask.analysis.style import BLACK, GREY, counted, house_style, new_figure, planner_looks, seconds, planner_label
 
 BUDGET = "sample_budget"
 """Column: the samples per decision that a planner was given; NaN for one that takes none."""
@@ -102,7 +102,7 @@ def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves |
 
 
 def draw_sample_curves(shown: SampleCurves) -> Figure:
-    """Mean cost by samples per decision, a column per team size and a curve per planner; below, what is left to gain."""
+    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is left to gain."""
     teams = sorted(shown.rows["robots"].unique())
     looks = planner_looks(shown.planners)
     reference, samples = shown.best
@@ -213,9 +213,7 @@ def _above_percent(means: Floats) -> Floats:
     return np.asarray(100 * (means[..., 0] / means[..., 1] - 1))
 
 
-def _curve(
-    axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: tuple[str, str]
-) -> None:
+def _curve(axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: tuple[str, str]) -> None:
     """A curve over budgets; a planner without one is a level line."""
     budgets = [budget for _, budget in points]
     if budgets == [0.0]:

@@ -24,10 +24,10 @@ from mrtask.analysis.style import (
     counted,
     house_style,
     new_figure,
+    planner_label,
     planner_looks,
     robot_color,
     seconds,
-    planner_label,
 )
 
 WIDTH_IN = 10.5
@@ -155,7 +155,7 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
 def _cell_names(cells: Sequence[Cell]) -> list[str]:
     """Size class and team size; of many cells the number of robots, with the class below the first of its cells."""
     if len(cells) <= MAX_NAMED_CELLS:
-        return [f"{size_class}\n{counted(robots, "robot")}" for size_class, robots in cells]
+        return [f"{size_class}\n{counted(robots, 'robot')}" for size_class, robots in cells]
     first = {size_class: robots for size_class, robots in reversed(cells)}
     return [f"{robots}\n{size_class if first[size_class] == robots else ''}" for size_class, robots in cells]
 

@@ -16,7 +16,6 @@ from mrtask.analysis.statistics import (
     INFORMED_BASELINE,
     MIN_TRIALS_FOR_INTERVAL,
     REFERENCES,
-    Cell,
     Estimate,
     Summary,
     cell_name,

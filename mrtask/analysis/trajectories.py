@@ -19,8 +19,8 @@ from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as DrawnPolygon
 from shapely.geometry import Polygon as ShapelyPolygon
 
-from mrtask.analysis.statistics import paired_costs
-from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, robot_color, planner_label
+from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, paired_costs
+from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, planner_label, robot_color
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 
@@ -83,6 +83,13 @@ def instructive_trials(
                 picks.append(Pick(trial, home_id, reason if index == rank else f"near {reason}"))
                 break
     return picks
+
+
+def baseline_beside(episodes: pd.DataFrame, planner: str) -> str | None:
+    """The planner drawn beside the main one: the informed baseline, or the first other that ran; None if none did."""
+    ran = set(episodes["planner"])
+    candidates = (INFORMED_BASELINE, *BASELINES, *sorted(ran))
+    return next((name for name in candidates if name in ran and name != planner), None)
 
 
 def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:

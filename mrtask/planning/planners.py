@@ -1,7 +1,7 @@
 """The planners by name: what each one is, and how a configuration becomes one.
 
-To add a planner, add an entry to `PLANNERS`: tables, figures and findings follow its role and its place there. How it is
-drawn is no part of this table, since it decides no result: `mrtask.analysis.style` has a default for every planner.
+To add a planner, add an entry to `PLANNERS`: tables, figures and findings follow its role and its place there. Colours
+are not in this table, because they decide no result: `mrtask.analysis.style` has a default for every planner.
 
 A planner of a user's own needs no entry: its import path (``package.module.name`` of a class or function that takes its
 options as keywords and returns a `Planner`) can be given wherever a name is expected.

@@ -27,7 +27,7 @@ def test_the_curve_has_the_mean_of_the_trials_that_all_finished():
     episodes = sweep()
     lost = episodes[(episodes["planner"] == "greedy") & (episodes["robots"] == 2)]["trial_id"].iloc[0]
     episodes.loc[(episodes["planner"] == "greedy") & (episodes["trial_id"] == lost), "cost_cells"] = np.nan
-    figure = curves.by_samples(episodes, "pouct")
+    figure = curves.draw_sample_curves(curves.sample_curves(episodes, "pouct"))
     upper, lower = figure.axes[1], figure.axes[3]
     assert upper.get_title() == "2 robots, 11 trials"
     kept = episodes[(episodes["robots"] == 2) & (episodes["trial_id"] != lost)]
@@ -44,12 +44,12 @@ def test_the_curve_has_the_mean_of_the_trials_that_all_finished():
 def test_no_curve_without_several_budgets_or_when_more_was_swept():
     episodes = sweep()
     assert (
-        curves.by_samples(episodes[episodes[curves.BUDGET].isin([10]) | episodes[curves.BUDGET].isna()], "pouct")
+        curves.sample_curves(episodes[episodes[curves.BUDGET].isin([10]) | episodes[curves.BUDGET].isna()], "pouct")
         is None
     )
-    assert curves.by_samples(episodes.drop(columns=curves.BUDGET), "pouct") is None
+    assert curves.sample_curves(episodes.drop(columns=curves.BUDGET), "pouct") is None
     other = episodes.assign(cost_cells=episodes["cost_cells"] + 1, variant="other")
-    assert curves.by_samples(pd.concat([episodes, other]), "pouct") is None
+    assert curves.sample_curves(pd.concat([episodes, other]), "pouct") is None
 
 
 def test_by_team_where_search_helps():

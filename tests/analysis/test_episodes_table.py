@@ -2,7 +2,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.episodes import REQUIRED_COLUMNS, natural_key, checked_episodes, size_classes_in_order, variants_in_order
+from mrtask.analysis.episodes import (
+    REQUIRED_COLUMNS,
+    checked_episodes,
+    natural_key,
+    size_classes_in_order,
+    variants_in_order,
+)
 from tests.analysis.synthetic import make_episodes, rows
 
 

@@ -8,7 +8,7 @@ from mrtask.analysis import figures
 from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import BASELINES, summarise
-from mrtask.analysis.style import data_uri, planner_looks, seconds, planner_label
+from mrtask.analysis.style import data_uri, planner_label, planner_looks, seconds
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 PUBLISHED = load_published()

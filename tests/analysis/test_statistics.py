@@ -51,7 +51,9 @@ def test_improvement_over_nothing_is_undefined():
 @pytest.mark.parametrize(("n", "seed"), [(10, 1), (23, 2), (60, 3)])
 def test_interval_equals_its_naive_twin(n, seed):
     cost, baseline = paired_costs(n, seed)
-    estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=300, seed=seed).estimate(library.improvement_of_means)
+    estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=300, seed=seed).estimate(
+        library.improvement_of_means
+    )
     assert (estimate.low, estimate.high) == pytest.approx(naive_bca(cost.tolist(), baseline.tolist(), 300, seed))
 
 
@@ -159,7 +161,9 @@ def test_shared_draws_change_nothing():
 
 def test_order_of_rows_does_not_matter():
     frame = make_episodes(6, size_classes=["small"], robots=[1, 2])
-    assert repr(summarise(checked_episodes(frame.sample(frac=1, random_state=1)))) == repr(summarise(checked_episodes(frame)))
+    assert repr(summarise(checked_episodes(frame.sample(frac=1, random_state=1)))) == repr(
+        summarise(checked_episodes(frame))
+    )
 
 
 def test_cells_that_were_not_run_are_absent():
