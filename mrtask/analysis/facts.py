@@ -172,13 +172,14 @@ def _failures(episodes: pd.DataFrame) -> list[Failure]:
     reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
     failures = [
         Failure(
-            *map(str, key),
+            status=str(status),
+            reason=str(reason),
             episodes=len(group),
             trials=group["trial_id"].nunique(),
             planners=tuple(sorted(set(group["planner"]))),
             first_trial=min(group["trial_id"]),
         )
-        for key, group in rows.assign(reason=reasons).groupby(["status", "reason"])
+        for (status, reason), group in rows.assign(reason=reasons).groupby(["status", "reason"])
     ]
     return sorted(failures, key=lambda failure: (-failure.episodes, failure.status, failure.reason))
 
