@@ -1,6 +1,6 @@
 """The answer in words, computed from the data: is the planner better than the baselines, and than was published?
 
-Every sentence holds for whatever is there: missing planners, missing cells, no finished episode, a planner that loses.
+Every sentence stays true whatever is missing: planners, cells, finished episodes; and also when the planner loses.
 """
 
 from collections.abc import Sequence
@@ -24,11 +24,11 @@ from mrtask.analysis.style import counted, planner_label
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 MIN_PAIRS = 30
-"""Below this many trials in a cell its interval says little."""
+"""With fewer trials the interval of a cell says little."""
 FALLBACK_ROLES = (Role.REFERENCE, Role.BASELINE, Role.BOUND)
 """What the report is about where none of our planners ran."""
-TOLD_APART = ("config_hash", "code_version", "model_version")
-"""Columns that a single experiment has one value of."""
+SINGLE_VALUED = ("config_hash", "code_version", "model_version")
+"""Columns that have one value in a single experiment."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
         )
         return Findings("No answer", f"{name} cannot be compared with the baselines: {reason}.", (), warnings)
     # The harder baseline, which a reader asks about first, opens the sentence.
-    told = [f"{_than(estimate)} {planner_label(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
-    headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(told)}."
+    parts = [f"{_than(estimate)} {planner_label(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
+    headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(parts)}."
     sentences = [_cells_sentence(summary, planner, b) for b in reversed(shown)]
     sentences += _published_sentences(summary, published, planner, list(shown))
     sentences += _reference_sentences(summary, planner)
@@ -86,7 +86,7 @@ def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
     """
     warnings = []
     in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
-    for column in TOLD_APART:
+    for column in SINGLE_VALUED:
         if column in episodes.columns and not (in_sweep and column == "config_hash"):
             values = sorted(episodes[column].dropna().astype(str).unique())
             if len(values) > 1:
@@ -96,7 +96,7 @@ def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
 
 
 def percent(value: float) -> str:
-    """One decimal."""
+    """A percentage with one decimal."""
     return f"{value:.1f}\N{NO-BREAK SPACE}%"
 
 

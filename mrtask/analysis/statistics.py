@@ -25,15 +25,15 @@ Floats = NDArray[np.float64]
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 SEED = 20603
-"""Of the resampling; every estimate starts from it, so none depends on which others are made."""
+"""Of the resampling. Every estimate starts from it, so that none depends on which others are computed."""
 MIN_TRIALS_FOR_INTERVAL = 10
-"""Resampling fewer trials than this knows too little of their spread: its interval would be far too narrow."""
+"""Fewer trials than this say too little about their spread: the interval would be far too narrow."""
 MAX_BATCH_CELLS = 4_000_000
 MAX_EXACT_TRIALS = 13
-"""Trials: with more, all signs are too many, and SciPy takes the exact distribution or the normal one."""
+"""Up to this many trials the test goes through all signs of the differences; beyond that it is SciPy's."""
 SAME_COST_S = 1e-6
 SAME_VALUE = 1e-10
-"""Resamples of the same trials in another order differ by rounding."""
+"""Relative and absolute tolerance: resamples of the same trials in another order differ by rounding."""
 
 BASELINES = planners_with_role(Role.BASELINE)
 """What a planner's improvement is measured against."""
@@ -75,7 +75,7 @@ class Estimate:
 
 
 UNDEFINED = Estimate(np.nan, np.nan, np.nan, 0)
-"""Of no trial."""
+"""The estimate from no trials."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +131,12 @@ class Summary:
 
     @property
     def cells(self) -> list[Cell]:
-        """The single cells that have episodes, in the table's order."""
+        """The cells of one size class and one team size that have episodes, in the table's order."""
         present = {cell for cell, _ in self.planner_cells}
         return [(c, r) for c in self.size_classes for r in self.robots if (c, r) in present]
 
     def compared(self, planner: str, baseline: str) -> bool:
-        """Whether both ran in any one cell."""
+        """Whether there is a cell in which both ran."""
         return any(key[1:] == (planner, baseline) for key in self.comparisons)
 
     def cost(self, cell: Cell, planner: str) -> Estimate:
@@ -271,7 +271,7 @@ def _wilcoxon(saved: Floats) -> float:
 
 
 def _exact_wilcoxon(saved: Floats) -> float:
-    """Over all signs that the differences could have had; SciPy does so too, a thousand times slower."""
+    """Goes through all signs that the differences could have had, as SciPy does, but a thousand times faster."""
     ranks = stats.rankdata(np.abs(saved))[saved != 0]
     signs = (np.arange(2 ** len(ranks))[:, None] >> np.arange(len(ranks))) & 1
     sums, found = signs @ ranks, ranks[saved[saved != 0] > 0].sum()

@@ -29,7 +29,7 @@ ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#cc79a7",
 )
 ROBOT_COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, GREY)
-"""By robot index, or by team size less one; they repeat for larger teams."""
+"""By robot index, or by team size minus one; they repeat for larger teams."""
 ROBOT_LINES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), "-.")
 PLANNER_LOOKS = {
     "nonlearned_myopic": (GREY, "s"),
@@ -45,7 +45,7 @@ OTHER_MARKERS = "PXph<>d"
 PIXELS_PER_INCH = 150
 PADDING_IN = 0.08
 NOTHING = "\N{EN DASH}"
-"""Stands where there is no value."""
+"""Shown where there is no value."""
 
 RC: dict[Any, Any] = {
     "font.size": 9,
@@ -73,7 +73,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure apart from pyplot's global state, laid out without overlaps."""
+    """A figure that is independent of pyplot's global state and laid out without overlaps."""
     figure = Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(h_pad=PADDING_IN, w_pad=PADDING_IN))
     FigureCanvasAgg(figure)
     return figure
@@ -121,6 +121,6 @@ def data_uri(figure: Figure) -> str:
     """The figure as an SVG data URI, the same bytes for the same figure."""
     buffer = io.BytesIO()
     with house_style(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font has not
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,4 +1,4 @@
-"""Drawn episodes: a home's floor plan with what each robot drove, searched and did, planner beside baseline.
+"""Drawn episodes: a home's floor plan with where each robot drove, searched and interacted, planner beside baseline.
 
 The trials drawn are chosen by rule, not by eye: among those of the largest team, where the planner saved most against
 the baseline, where it saved the median, and where it lost most.
@@ -167,7 +167,7 @@ def _draw_container(axes: Axes, container: Container, held: Sequence[str], label
 
 
 def draw_trace(axes: Axes, trace: Trace, home: Home) -> None:
-    """Each robot's way in its colour; the team's searches numbered, stars for interactions, squares for waits."""
+    """Each robot's path in its colour; the team's searches are numbered, stars are interactions, squares are waits."""
     searches = sorted(
         ((leg.t1_s, robot, leg) for robot, legs in enumerate(trace.robots) for leg in legs if leg.kind == "search"),
         key=lambda entry: entry[:2],
@@ -228,7 +228,7 @@ def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
 
 
 def _place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
-    """Where a robot stands at the end of its last leg that began by then."""
+    """Where a robot stands at this time: the end of its last finished leg."""
     places = [leg.path[-1] for leg in legs if leg.t1_s <= t_s + 1e-6]
     return places[-1] if places else start
 

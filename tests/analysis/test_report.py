@@ -208,7 +208,7 @@ def test_missing_episodes_are_named(tmp_path, blank_pictures):
 def test_refuses_before_it_writes(tmp_path):
     folder = tmp_path / "report"
     with pytest.raises(ValueError, match="unknown episode status"):
-        render_report(small().assign(status="ok"), {}, {}, folder)
+        page_of(folder, small().assign(status="ok"))
     assert not folder.exists()
 
 
