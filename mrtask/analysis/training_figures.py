@@ -29,7 +29,7 @@ def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | Non
 def reliability_plot(reliability: pd.DataFrame) -> Figure:
     """Observed frequency against mean probability of the bins of ``metrics.reliability``, on log axes.
 
-    With Wilson's 95 % intervals, as if the rows were independent; a bin in which no object was found has only its interval.
+    With Wilson's 95 % intervals, as if the rows were independent. A bin without a found object has only its interval.
     """
     figure = Figure(figsize=(5.0, 5.0), layout="constrained")
     axes = figure.subplots()
