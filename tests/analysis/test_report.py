@@ -6,11 +6,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import Markup
 
 from mrtask import files
+from mrtask.analysis import report as library
 from mrtask.analysis import sections
 from mrtask.analysis.facts import beats_frequency, failure_table, homes_facts, run_facts
 from mrtask.analysis.report import render_report, trials_to_draw, write_report
+from mrtask.analysis.sections import Section
 from mrtask.execution.trace import Leg, Letter, Trace
 from tests.analysis.synthetic import fail, make_episodes, rows
 
@@ -116,6 +119,18 @@ def test_whole_report(tmp_path, two_room_home):
     table = pd.read_csv(tmp_path / "table.csv")
     assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+
+
+def test_a_listed_section_is_on_the_page_and_in_the_navigation(tmp_path, monkeypatch, blank_pictures):
+    count = Section(
+        "count", "How many", "Number of <episodes>", lambda data: Markup(f"<p>{len(data.episodes)} ran</p>")
+    )
+    absent = Section("absent", "Nothing", "Nothing to show", lambda data: None)
+    monkeypatch.setattr(library, "SECTIONS", [count, absent, *sections.SECTIONS])
+    page = page_of(tmp_path, small(["pouct"]))
+    assert ("a", "href", "#count") in page.attributes and "count" in page.ids
+    assert "Number of <episodes>4 ran" in page.words.replace("> ", ">") and "Nothing" not in page.words
+    assert page.words.index("4 ran") < page.words.index("All planners, all episodes")
 
 
 CASES = {
