@@ -14,7 +14,7 @@ import pandas as pd
 from pydantic import TypeAdapter
 
 from mrtask.analysis.curves import BUDGET
-from mrtask.analysis.report import render_report, trials_to_draw
+from mrtask.analysis.report import render_report, trials_to_draw, write_report
 from mrtask.homes.home import Home
 from pipeline.app.main import main
 from pipeline.app.sweep import CELLS
@@ -58,7 +58,7 @@ def report(config: Config, run_id: str | None = None) -> Folder:
     drawn = _homes(manifest, {pick.home_id for pick in picks})
     episodes = _with_traces(episodes, folder, {pick.trial_id for pick in picks})
     with tempfile.TemporaryDirectory() as temporary:
-        render_report(episodes, manifest, drawn, Path(temporary))
+        write_report(render_report(episodes, manifest, drawn), Path(temporary))
         target.upload(Path(temporary))
         if run_id := run_id or manifest.get("run_id"):
             store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)

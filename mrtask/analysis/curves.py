@@ -13,18 +13,31 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
-from mrtask.analysis.statistics import KNOWN, REFERENCES, Bootstrap, Estimate, Floats, planners_in_order
-from mrtask.analysis.style import BLACK, GREY, house_style, new_figure, planner_looks, seconds, short_name
+from mrtask.analysis.statistics import (
+    INFORMED_BASELINE,
+    KNOWN,
+    REFERENCES,
+    RULE,
+    Bootstrap,
+    Estimate,
+    Floats,
+    improvement_of_means,
+)
+from mrtask.analysis.style import BLACK, GREY, counted, house_style, new_figure, planner_label, planner_looks, seconds
+from mrtask.planning.planners import planners_in_order
 
 BUDGET = "sample_budget"
 """Column: the samples per decision that a planner was given; NaN for one that takes none."""
-WITHOUT_SEARCH = ("learned_myopic", "greedy", KNOWN)
+LEVEL_PLANNERS = (INFORMED_BASELINE, RULE, KNOWN)
 """Drawn as level lines beside the curves, where they ran."""
-LEAST_TEAMS = 4
-"""Below so many team sizes the other figures say it all."""
-MOST_ABOVE_PERCENT = 100
+MIN_TEAMS = 4
+"""With fewer team sizes the other figures are enough."""
+MAX_ABOVE_PERCENT = 100
 """The lower panels end here, so that a curve that starts far above leaves the others readable."""
 PANEL_WIDTH_IN, PANEL_HEIGHT_IN = 3.5, 2.9
+
+Point = tuple[str, float]
+"""A planner and one of its budgets."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +48,41 @@ class Worth:
     unclear: tuple[int, ...]
 
 
-def by_samples(episodes: pd.DataFrame, planner: str | None) -> Figure | None:
-    """Mean cost by samples per decision, a column per team size and a curve per planner; below, what is left to gain.
+@dataclass(frozen=True)
+class SampleCurves:
+    """The episodes of a sweep over sample budgets, and which planners are drawn."""
 
-    The lower panels are relative to ``planner``, or the last with a curve, at its largest budget. None where no
-    planner ran with several budgets, or where a sweep changed something else too.
+    rows: pd.DataFrame
+    """One row per planner, budget and trial; the budget of a planner that takes none is 0."""
+    curves: tuple[str, ...]
+    """Planners that ran with several budgets."""
+    levels: tuple[str, ...]
+    """Other planners, drawn as level lines."""
+    budgets: Mapping[str, tuple[float, ...]]
+    """Planner -> its budgets in rising order."""
+    best: Point
+    """What the lower panels are relative to."""
+
+    @property
+    def planners(self) -> tuple[str, ...]:
+        """All that are drawn, in the order of the legend."""
+        return (*self.curves, *self.levels)
+
+    @property
+    def points(self) -> list[Point]:
+        """Every planner that is drawn with each of its budgets."""
+        return [(name, budget) for name in self.planners for budget in self.budgets[name]]
+
+    @property
+    def ticks(self) -> list[float]:
+        """The budgets of all curves."""
+        return sorted({budget for name in self.curves for budget in self.budgets[name]})
+
+
+def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves | None:
+    """What `draw_sample_curves` draws; ``best`` is ``planner``, or the last with a curve, at its largest budget.
+
+    None where no planner ran with several budgets, or where a sweep changed something else too.
     """
     if BUDGET not in episodes.columns:
         return None
@@ -49,50 +92,60 @@ def by_samples(episodes: pd.DataFrame, planner: str | None) -> Figure | None:
         return None
     rows = rows.drop_duplicates(keys)
     planners = planners_in_order(rows["planner"].unique())
-    budgets = {name: sorted(rows.loc[rows["planner"] == name, BUDGET].unique()) for name in planners}
-    curves = [name for name in planners if len(budgets[name]) > 1]
+    budgets = {name: tuple(sorted(rows.loc[rows["planner"] == name, BUDGET].unique())) for name in planners}
+    curves = tuple(name for name in planners if len(budgets[name]) > 1)
     if not curves:
         return None
-    level = [name for name in WITHOUT_SEARCH if name in budgets and name not in curves]
-    drawn = [(name, budget) for name in [*curves, *level] for budget in budgets[name]]
-    reference = planner if planner in curves else curves[-1]
-    teams = sorted(rows["robots"].unique())
-    ticks = sorted({budget for name in curves for budget in budgets[name]})
-    looks = planner_looks([*curves, *level])
+    levels = tuple(name for name in LEVEL_PLANNERS if name in budgets and name not in curves)
+    relative_to = planner if planner in curves else curves[-1]
+    return SampleCurves(rows, curves, levels, budgets, (relative_to, budgets[relative_to][-1]))
+
+
+def draw_sample_curves(shown: SampleCurves) -> Figure:
+    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is left to gain."""
+    teams = sorted(shown.rows["robots"].unique())
+    looks = planner_looks(shown.planners)
+    reference, samples = shown.best
     with house_style():
         figure = new_figure(PANEL_WIDTH_IN * max(len(teams), 2), 2 * PANEL_HEIGHT_IN + 0.5)
         grid = figure.subplots(2, len(teams), squeeze=False, sharex=True, sharey="row")
         for robots, (upper, lower) in zip(teams, grid.T, strict=True):
-            costs = rows[rows["robots"] == robots].pivot(
-                index="trial_id", columns=["planner", BUDGET], values="cost_cells"
-            )
-            shown = [one for one in drawn if one in costs.columns]
-            means = Bootstrap(costs[shown].dropna().to_numpy())
-            best = (reference, budgets[reference][-1])
-            for name in [*curves, *level]:
-                own = [one for one in shown if one[0] == name]
-                _curve(upper, own, [means.estimate(_first, [shown.index(one)]) for one in own], looks[name])
-                if best in shown:
-                    pairs = [[shown.index(one), shown.index(best)] for one in own]
-                    _curve(lower, own, [means.estimate(_above_percent, pair) for pair in pairs], looks[name])
-            lower.axhline(0, color=GREY, linewidth=0.8, zorder=0)
-            upper.set_title(f"{_team(robots)}, {len(means.costs)} trials")
+            trials = _draw_team_curves(shown, robots, upper, lower, looks)
+            upper.set_title(f"{counted(robots, 'robot')}, {trials} trials")
             upper.set_xscale("log")
-            upper.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks])
+            upper.set_xticks(shown.ticks, [f"{tick:,.0f}" for tick in shown.ticks])
             upper.xaxis.set_minor_locator(NullLocator())
             lower.set_xlabel("samples per decision")
-        grid[1, 0].set_ylim(top=min(grid[1, 0].get_ylim()[1], MOST_ABOVE_PERCENT))
+        grid[1, 0].set_ylim(top=min(grid[1, 0].get_ylim()[1], MAX_ABOVE_PERCENT))
         grid[0, 0].set_ylabel("mean cost (grid cells)")
-        grid[1, 0].set_ylabel(f"% above {short_name(reference)}\nwith {budgets[reference][-1]:,.0f} samples")
-        handles = [_handle(name, looks[name], level=name in level) for name in [*curves, *level]]
+        grid[1, 0].set_ylabel(f"% above {planner_label(reference)}\nwith {samples:,.0f} samples")
+        handles = [_handle(name, looks[name], level=name in shown.levels) for name in shown.planners]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
+
+
+def _draw_team_curves(
+    shown: SampleCurves, robots: int, upper: Axes, lower: Axes, looks: Mapping[str, tuple[str, str]]
+) -> int:
+    """Draws the two panels of one team size; returns the number of trials in them."""
+    rows = shown.rows[shown.rows["robots"] == robots]
+    costs = rows.pivot(index="trial_id", columns=["planner", BUDGET], values="cost_cells")
+    points = [point for point in shown.points if point in costs.columns]
+    means = Bootstrap(costs[points].dropna().to_numpy())
+    for name in shown.planners:
+        own = [point for point in points if point[0] == name]
+        _curve(upper, own, [means.estimate(_first, [points.index(point)]) for point in own], looks[name])
+        if shown.best in points:
+            pairs = [[points.index(point), points.index(shown.best)] for point in own]
+            _curve(lower, own, [means.estimate(_above_percent, pair) for pair in pairs], looks[name])
+    lower.axhline(0, color=GREY, linewidth=0.8, zorder=0)
+    return len(means.costs)
 
 
 def by_team(episodes: pd.DataFrame, planner: str) -> Figure | None:
     """Mean cost, improvement over each reference and planning time per decision by team size; None with few sizes."""
     teams = sorted(episodes["robots"].unique())
-    if len(teams) < LEAST_TEAMS:
+    if len(teams) < MIN_TEAMS:
         return None
     planners = planners_in_order(episodes["planner"].unique())
     looks = planner_looks(planners)
@@ -116,7 +169,7 @@ def by_team(episodes: pd.DataFrame, planner: str) -> Figure | None:
         times.yaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
         times.yaxis.set_minor_formatter(NullFormatter())
         costs.set(title="mean cost (grid cells)")
-        gains.set(title=f"improvement of {short_name(planner)} (%) over")
+        gains.set(title=f"improvement of {planner_label(planner)} (%) over")
         times.set(title="planning time per decision")
         for axes in (costs, gains, times):
             axes.set(xlabel="robots", xticks=teams)
@@ -146,7 +199,7 @@ def _gains(found: Mapping[int, Bootstrap], planners: Sequence[str], planner: str
     """Reference -> the improvement over it by team size."""
     own = planners.index(planner)
     return {
-        name: [each.estimate(_improvement, [own, planners.index(name)]) for each in found.values()]
+        name: [each.estimate(improvement_of_means, [own, planners.index(name)]) for each in found.values()]
         for name in REFERENCES
         if name in planners and name != planner
     }
@@ -160,13 +213,7 @@ def _above_percent(means: Floats) -> Floats:
     return np.asarray(100 * (means[..., 0] / means[..., 1] - 1))
 
 
-def _improvement(means: Floats) -> Floats:
-    return np.asarray(100 * (1 - means[..., 0] / means[..., 1]))
-
-
-def _curve(
-    axes: Axes, points: Sequence[tuple[str, float]], estimates: Sequence[Estimate], look: tuple[str, str]
-) -> None:
+def _curve(axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: tuple[str, str]) -> None:
     """A curve over budgets; a planner without one is a level line."""
     budgets = [budget for _, budget in points]
     if budgets == [0.0]:
@@ -183,9 +230,5 @@ def _line(axes: Axes, places: Sequence[float], estimates: Sequence[Estimate], lo
 
 def _handle(name: str, look: tuple[str, str], level: bool = False) -> Line2D:
     if level:
-        return Line2D([], [], color=look[0], linestyle="--", label=short_name(name))
-    return Line2D([], [], color=look[0], marker=look[1], label=short_name(name))
-
-
-def _team(robots: int) -> str:
-    return "1 robot" if robots == 1 else f"{robots} robots"
+        return Line2D([], [], color=look[0], linestyle="--", label=planner_label(name))
+    return Line2D([], [], color=look[0], marker=look[1], label=planner_label(name))

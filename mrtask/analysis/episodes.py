@@ -1,4 +1,4 @@
-"""The episodes table as the analysis takes it: checked, typed, and told apart by variant where a sweep made several.
+"""The table of episodes as the analysis uses it: checked, typed, and split by variant where a sweep made several.
 
 One row is one planner's run of one trial; planners are compared on the trials (``trial_id``) they share.
 """
@@ -15,14 +15,14 @@ REQUIRED_COLUMNS = ("trial_id", "size_class", "robots", "planner", "status", "co
 STATUSES = ("accepted", "failed", "error", "timeout")
 """``failed``: the task could not be done; ``error``: an exception; ``timeout``: the episode took too long."""
 
-OVERRIDES_SAID_BY_COLUMNS = ("evaluation.robots", "evaluation.size_classes", "evaluation.planners")
-"""Sweeping over these makes no variant: the rows themselves say team size, size class and planner."""
+OVERRIDES_IN_COLUMNS = ("evaluation.robots", "evaluation.size_classes", "evaluation.planners")
+"""Sweeping over these makes no variants: each row has its team size, size class and planner in columns."""
 
 Variant = str
 """What a sweep changed, as text (``planner.pouct.samples=100``); empty where there was no sweep."""
 
 
-def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
+def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
     """A checked copy, in the order of its keys, with float costs (NaN unless accepted) and a ``variant`` column.
 
     Raises:
@@ -70,7 +70,7 @@ def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def variants_in_order(episodes: pd.DataFrame) -> list[Variant]:
-    """The variants of a prepared table, numbers in them sorted as numbers."""
+    """The variants of a checked table, with numbers in them sorted as numbers."""
     return sorted(set(episodes["variant"]), key=natural_key)
 
 
@@ -97,4 +97,4 @@ def _variants(frame: pd.DataFrame) -> pd.Series:
 
 def _without_columns(label: str) -> str:
     overrides = re.split(r",(?![^\[{(]*[\]})])", label)
-    return ",".join(part for part in overrides if part.split("=")[0].lstrip("+") not in OVERRIDES_SAID_BY_COLUMNS)
+    return ",".join(part for part in overrides if part.split("=")[0].lstrip("+") not in OVERRIDES_IN_COLUMNS)

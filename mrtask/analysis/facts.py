@@ -1,18 +1,18 @@
 """What the report says besides results: the likelihood model, the homes, the run and what went wrong in it.
 
-A manifest is the JSON that a run left; every key is optional, and what is not there is not shown.
+A manifest is the JSON that a run writes; every key is optional, and what is missing is not shown.
 """
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.style import NOTHING, seconds, short_name
-from mrtask.analysis.tables import Entry, Row, Table
+from mrtask.analysis.columns import Column, Entry, Row, Table, make_table
+from mrtask.analysis.style import NOTHING, planner_label, seconds
 
 Manifest = Mapping[str, Any]
 Fact = tuple[str, str]
@@ -25,11 +25,11 @@ METRICS = {
     "brier": ("Brier score", "lower"),
     "ece": ("expected calibration error", "lower"),
 }
-"""Metric -> name and what is better, in the order shown."""
+"""Metric -> name and whether a higher or a lower value is better, in the order shown."""
 DECIDING = ("log_loss", "roc_auc")
-"""The first of these that both models have says which is better."""
-MOST_REASONS = 25
-LONGEST_REASON = 240
+"""The first of these that both models have decides which model is better."""
+MAX_REASONS = 25
+MAX_REASON_CHARS = 240
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,27 @@ class ModelFacts:
     facts: tuple[Fact, ...]
     metrics: Table | None
     warning: str | None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The episodes that ended with one status for one reason."""
+
+    status: str
+    reason: str
+    episodes: int
+    trials: int
+    planners: tuple[str, ...]
+    first_trial: str
+
+
+FAILURE_COLUMNS = (
+    Column[Failure](lambda failure: failure.status, ("", "status")),
+    Column[Failure](lambda failure: failure.episodes, ("", "episodes")),
+    Column[Failure](lambda failure: failure.trials, ("", "trials")),
+    Column[Failure](lambda failure: ", ".join(map(planner_label, failure.planners)), ("", "planners"), tone="text"),
+    Column[Failure](lambda failure: failure.first_trial, ("", "first trial")),
+)
 
 
 def part(manifest: Manifest, key: str) -> Manifest:
@@ -124,7 +145,7 @@ def run_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
 
 
 def missing_episodes(manifest: Manifest, episodes: pd.DataFrame) -> str | None:
-    """A warning where the run has fewer episodes than it was to have."""
+    """A warning where the run has fewer episodes than were planned."""
     expected = _number(manifest.get("expected_episodes"))
     if expected is None or len(episodes) >= expected:
         return None
@@ -133,35 +154,34 @@ def missing_episodes(manifest: Manifest, episodes: pd.DataFrame) -> str | None:
 
 def failure_table(episodes: pd.DataFrame) -> Table | None:
     """Episodes without a result by status and reason, most frequent first; None where all were accepted."""
+    failures = _failures(episodes)
+    if not failures:
+        return None
+    shown, others = failures[:MAX_REASONS], failures[MAX_REASONS:]
+    table = make_table(FAILURE_COLUMNS, [(failure.reason or "no reason given", failure) for failure in shown])
+    if not others:
+        return table
+    entries = (Entry(NOTHING), Entry(str(sum(failure.episodes for failure in others))), *[Entry(NOTHING)] * 3)
+    return replace(table, rows=(*table.rows, Row(f"{len(others)} other reasons", entries)))
+
+
+def _failures(episodes: pd.DataFrame) -> list[Failure]:
     rows = episodes[episodes["status"] != "accepted"]
     if rows.empty:
-        return None
+        return []
     reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
-    grouped = [
-        (*map(str, key), len(group), sorted(set(group["planner"])), group["trial_id"].nunique(), min(group["trial_id"]))
-        for key, group in rows.assign(reason=reasons).groupby(["status", "reason"])
-    ]
-    grouped.sort(key=lambda entry: (-entry[2], entry[0], entry[1]))
-    lines = [
-        Row(
-            reason or "no reason given",
-            (
-                Entry(status),
-                Entry(str(count)),
-                Entry(str(trials)),
-                Entry(", ".join(map(short_name, planners)), tone="text"),
-                Entry(first),
-            ),
+    failures = [
+        Failure(
+            status=str(status),
+            reason=str(reason),
+            episodes=len(group),
+            trials=group["trial_id"].nunique(),
+            planners=tuple(sorted(set(group["planner"]))),
+            first_trial=min(group["trial_id"]),
         )
-        for status, reason, count, planners, trials, first in grouped[:MOST_REASONS]
+        for (status, reason), group in rows.assign(reason=reasons).groupby(["status", "reason"])
     ]
-    if len(grouped) > MOST_REASONS:
-        rest = sum(entry[2] for entry in grouped[MOST_REASONS:])
-        nothing = Entry(NOTHING)
-        line = (nothing, Entry(str(rest)), nothing, nothing, nothing)
-        lines.append(Row(f"{len(grouped) - MOST_REASONS} other reasons", line))
-    columns = (("", "status"), ("", "episodes"), ("", "trials"), ("", "planners"), ("", "first trial"))
-    return Table(columns, tuple(lines))
+    return sorted(failures, key=lambda failure: (-failure.episodes, failure.status, failure.reason))
 
 
 def config_text(manifest: Manifest) -> str | None:
@@ -222,7 +242,7 @@ def _reason(error: object) -> str:
         return ""
     lines = error.strip().splitlines()
     line = lines[-1] if lines[0].startswith("Traceback") else lines[0]
-    return line if len(line) <= LONGEST_REASON else line[: LONGEST_REASON - 3] + "..."
+    return line if len(line) <= MAX_REASON_CHARS else line[: MAX_REASON_CHARS - 3] + "..."
 
 
 def _number(value: object) -> float | None:

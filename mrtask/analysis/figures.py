@@ -15,25 +15,26 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from mrtask.analysis.episodes import Variant
-from mrtask.analysis.published import PAPERS_PLANNER, Published
-from mrtask.analysis.statistics import ALL_TEAMS, KNOWN, Estimate, Floats, Summary, paired_costs
+from mrtask.analysis.published import Published
+from mrtask.analysis.statistics import ALL_TEAMS, KNOWN, Cell, Estimate, Floats, Summary, paired_costs
 from mrtask.analysis.style import (
     BLACK,
     GREY,
     LIGHT_GREY,
-    ROBOT_COLORS,
+    counted,
     house_style,
     new_figure,
+    planner_label,
     planner_looks,
     robot_color,
     seconds,
-    short_name,
 )
 
 WIDTH_IN = 10.5
-VECTOR_POINTS = 1500
+MAX_VECTOR_POINTS = 1500
 """Scatter plots with more points are drawn as pixels, which keeps the report small."""
-MOST_NAMED_CELLS = 12
+MAX_NAMED_CELLS = 12
+CLASS_MARKERS = "oDs^vPX"
 TIME_PERCENTILES = (5, 25, 50, 75, 95)
 
 
@@ -44,7 +45,7 @@ def scatter(episodes: pd.DataFrame, summary: Summary, planner: str, baselines: S
     if planner not in costs.columns or not costs[[planner, *baselines]].dropna().size or not baselines:
         return None
     trials = episodes.drop_duplicates("trial_id").set_index("trial_id")[["size_class", "robots"]].loc[costs.index]
-    pixels = len(costs) * len(baselines) > VECTOR_POINTS
+    pixels = len(costs) * len(baselines) > MAX_VECTOR_POINTS
     with house_style():
         figure = new_figure(WIDTH_IN, 3.7 * len(baselines) + 0.3)
         grid = figure.subplots(len(baselines), len(summary.size_classes), squeeze=False)
@@ -52,15 +53,15 @@ def scatter(episodes: pd.DataFrame, summary: Summary, planner: str, baselines: S
             for axes, size_class in zip(line, summary.size_classes, strict=True):
                 pairs = costs.loc[(trials["size_class"] == size_class).to_numpy(), [baseline, planner]].dropna()
                 _scatter_panel(axes, pairs, trials["robots"], summary.robots, pixels)
-                comparison = summary.comparisons.get(((size_class, ALL_TEAMS), planner, baseline))
-                axes.set_xlabel(f"{short_name(baseline)} (cells)")
-                if comparison and comparison.improvement.defined:
-                    text = f"{comparison.improvement.value:+.1f} % improvement\n{len(pairs)} trials"
+                axes.set_xlabel(f"{planner_label(baseline)} (cells)")
+                improvement = summary.improvement((size_class, ALL_TEAMS), planner, baseline)
+                if improvement.defined:
+                    text = f"{improvement.value:+.1f} % improvement\n{len(pairs)} trials"
                     axes.text(0.04, 0.97, text, transform=axes.transAxes, va="top", fontsize=8.5)
-            line[0].set_ylabel(f"{short_name(planner)} (cells)")
+            line[0].set_ylabel(f"{planner_label(planner)} (cells)")
         for axes, size_class in zip(grid[0], summary.size_classes, strict=True):
             axes.set_title(size_class)
-        handles = [_dot(robot_color(count - 1), _team(count)) for count in summary.robots]
+        handles = [_dot(robot_color(count - 1), counted(count, "robot")) for count in summary.robots]
         handles.append(Line2D([], [], color=BLACK, linewidth=1, label="equal cost"))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
@@ -82,12 +83,12 @@ def mean_costs(summary: Summary, published: Published) -> Figure | None:
     """Mean cost by team size with 95 % intervals, one panel per size class; published means hollow and dashed."""
     if not any(cell.cost_cells.defined for cell in summary.planner_cells.values()):
         return None
-    looks = planner_looks([*summary.planners, "nonlearned_myopic", "learned_myopic", PAPERS_PLANNER])
+    looks = planner_looks([*summary.planners, *published.planners])
     with house_style():
         figure = new_figure(WIDTH_IN, 4.0)
         panels = figure.subplots(1, len(summary.size_classes), squeeze=False)[0]
         for axes, size_class in zip(panels, summary.size_classes, strict=True):
-            for name in ("nonlearned_myopic", "learned_myopic", PAPERS_PLANNER):
+            for name in published.planners:
                 means = {r: published.cost_cells.get((name, (size_class, r))) for r in summary.robots}
                 known = {robots: mean for robots, mean in means.items() if mean is not None}
                 axes.plot(
@@ -99,14 +100,14 @@ def mean_costs(summary: Summary, published: Published) -> Figure | None:
                 _points_with_intervals(
                     axes,
                     [r + shift for r in summary.robots],
-                    [_cost_of(summary, (size_class, r), name) for r in summary.robots],
+                    [summary.cost((size_class, r), name) for r in summary.robots],
                     *looks[name],
                 )
             axes.set(title=size_class, xlabel="robots", xticks=summary.robots)
             axes.set_ylim(bottom=0)
             axes.grid(axis="x", visible=False)
         panels[0].set_ylabel("mean cost (grid cells)")
-        handles = [_line(*looks[name], short_name(name)) for name in summary.planners]
+        handles = [_line(*looks[name], planner_label(name)) for name in summary.planners]
         handles.append(
             Line2D([], [], color=GREY, linestyle=":", marker="o", markerfacecolor="white", label="published")
         )
@@ -116,7 +117,7 @@ def mean_costs(summary: Summary, published: Published) -> Figure | None:
 
 def improvements(summary: Summary, published: Published, planner: str, baselines: Sequence[str]) -> Figure | None:
     """The improvement over each baseline in every cell with its 95 % interval, beside the published one."""
-    baselines = [name for name in baselines if any(key[1:] == (planner, name) for key in summary.comparisons)]
+    baselines = [name for name in baselines if summary.compared(planner, name)]
     cells = summary.cells
     if not baselines:
         return None
@@ -129,18 +130,18 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
             printed = [published.improvement_of(planner, baseline, cell) for cell in cells]
             heights = [np.nan if value is None else value for value in printed]
             axes.bar(places + 0.2, heights, 0.38, facecolor="white", edgecolor=GREY, hatch="////", linewidth=0.8)
-            ours = [_improvement(summary, cell, planner, baseline) for cell in cells]
+            ours = [summary.improvement(cell, planner, baseline) for cell in cells]
             axes.bar(places - 0.2, [each.value for each in ours], 0.38, color=color)
             axes.errorbar(places - 0.2, [e.value for e in ours], _errors(ours), fmt="none", ecolor=BLACK, capsize=3)
             if KNOWN in summary.planners and planner != KNOWN:
-                bound = [_improvement(summary, cell, KNOWN, baseline).value for cell in cells]
+                bound = [summary.improvement(cell, KNOWN, baseline).value for cell in cells]
                 axes.plot(places - 0.2, bound, linestyle="none", marker="_", markersize=16, color=BLACK)
             axes.axhline(0, color=BLACK, linewidth=0.8)
-            axes.set(ylabel="improvement (%)", title=f"{short_name(planner)} over {short_name(baseline)}")
+            axes.set(ylabel="improvement (%)", title=f"{planner_label(planner)} over {planner_label(baseline)}")
             axes.grid(axis="x", visible=False)
         panels[-1].set_xticks(places, _cell_names(cells))
         handles: list[Patch | Line2D] = [
-            Patch(color=color, label=f"{short_name(planner)}, 95 % interval"),
+            Patch(color=color, label=f"{planner_label(planner)}, 95 % interval"),
             Patch(facecolor="white", edgecolor=GREY, hatch="////", label="published"),
         ]
         if KNOWN in summary.planners:
@@ -151,10 +152,10 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
     return figure
 
 
-def _cell_names(cells: Sequence[tuple[str, int]]) -> list[str]:
+def _cell_names(cells: Sequence[Cell]) -> list[str]:
     """Size class and team size; of many cells the number of robots, with the class below the first of its cells."""
-    if len(cells) <= MOST_NAMED_CELLS:
-        return [f"{size_class}\n{_team(robots)}" for size_class, robots in cells]
+    if len(cells) <= MAX_NAMED_CELLS:
+        return [f"{size_class}\n{counted(robots, 'robot')}" for size_class, robots in cells]
     first = {size_class: robots for size_class, robots in reversed(cells)}
     return [f"{robots}\n{size_class if first[size_class] == robots else ''}" for size_class, robots in cells]
 
@@ -189,20 +190,18 @@ def planning_times(episodes: pd.DataFrame, planners: Sequence[str]) -> Figure | 
             patch.set(facecolor=color, alpha=0.75)
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
-        axes.set_yticks(range(len(planners)), [short_name(name) for name in planners])
+        axes.set_yticks(range(len(planners)), [planner_label(name) for name in planners])
         axes.invert_yaxis()
         axes.set_xlabel("planning time per decision")
         axes.grid(axis="y", visible=False)
-        handles = [Patch(color=robot_color(robots - 1), alpha=0.75, label=_team(robots)) for robots in teams]
+        handles = [Patch(color=robot_color(robots - 1), alpha=0.75, label=counted(robots, "robot")) for robots in teams]
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
 
 def sweep(summaries: Mapping[Variant, Summary], planner: str, baselines: Sequence[str]) -> Figure | None:
     """The improvement over each baseline by variant of a sweep, one line per size class, all team sizes together."""
-    baselines = [
-        b for b in baselines if any(key[1:] == (planner, b) for s in summaries.values() for key in s.comparisons)
-    ]
+    baselines = [name for name in baselines if any(each.compared(planner, name) for each in summaries.values())]
     if not baselines or len(summaries) < 2:
         return None
     classes = list(dict.fromkeys(name for summary in summaries.values() for name in summary.size_classes))
@@ -212,18 +211,18 @@ def sweep(summaries: Mapping[Variant, Summary], planner: str, baselines: Sequenc
         panels = figure.subplots(1, len(baselines), squeeze=False)[0]
         for axes, baseline in zip(panels, baselines, strict=True):
             for index, size_class in enumerate(classes):
-                values = [_improvement(s, (size_class, ALL_TEAMS), planner, baseline) for s in summaries.values()]
+                values = [s.improvement((size_class, ALL_TEAMS), planner, baseline) for s in summaries.values()]
                 places = [place + 0.06 * (index - (len(classes) - 1) / 2) for place in range(len(values))]
                 _points_with_intervals(
-                    axes, places, values, ROBOT_COLORS[index % len(ROBOT_COLORS)], "oDs^vPX"[index % 7]
+                    axes, places, values, robot_color(index), CLASS_MARKERS[index % len(CLASS_MARKERS)]
                 )
             axes.axhline(0, color=LIGHT_GREY, linewidth=1, zorder=0)
             axes.set_xticks(range(len(names)), names, rotation=0 if max(map(len, names)) < 9 else 20)
-            axes.set(title=f"{short_name(planner)} over {short_name(baseline)}", xlabel=label)
+            axes.set(title=f"{planner_label(planner)} over {planner_label(baseline)}", xlabel=label)
             axes.grid(axis="x", visible=False)
         panels[0].set_ylabel("improvement (%)")
         handles = [
-            _line(ROBOT_COLORS[index % len(ROBOT_COLORS)], "oDs^vPX"[index % 7], name)
+            _line(robot_color(index), CLASS_MARKERS[index % len(CLASS_MARKERS)], name)
             for index, name in enumerate(classes)
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
@@ -236,16 +235,6 @@ def _tick_names(variants: Sequence[Variant]) -> tuple[list[str], str]:
     if len({key for key, _, _ in parts}) == 1 and all(value and "=" not in value for _, _, value in parts):
         return [value for _, _, value in parts], parts[0][0]
     return [variant.replace(",", "\n") or "as configured" for variant in variants], ""
-
-
-def _cost_of(summary: Summary, cell: tuple[str, int], planner: str) -> Estimate:
-    found = summary.planner_cells.get((cell, planner))
-    return found.cost_cells if found else Estimate(np.nan, np.nan, np.nan, 0)
-
-
-def _improvement(summary: Summary, cell: tuple[str, int], planner: str, baseline: str) -> Estimate:
-    found = summary.comparisons.get((cell, planner, baseline))
-    return found.improvement if found else Estimate(np.nan, np.nan, np.nan, 0)
 
 
 def _errors(estimates: Sequence[Estimate]) -> Floats:
@@ -272,7 +261,3 @@ def _dot(color: str, label: str) -> Line2D:
 
 def _line(color: str, marker: str, label: str) -> Line2D:
     return Line2D([], [], color=color, marker=marker, linewidth=1.6, label=label)
-
-
-def _team(robots: int) -> str:
-    return "1 robot" if robots == 1 else f"{robots} robots"

@@ -1,6 +1,6 @@
 """The answer in words, computed from the data: is the planner better than the baselines, and than was published?
 
-Every sentence holds for whatever is there: missing planners, missing cells, no finished episode, a planner that loses.
+Every sentence stays true whatever is missing: planners, cells, finished episodes; and also when the planner loses.
 """
 
 from collections.abc import Sequence
@@ -9,26 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.published import PAPERS_PLANNER, Published
+from mrtask.analysis.published import Published
 from mrtask.analysis.statistics import (
-    ALL_CLASSES,
-    ALL_TEAMS,
     BASELINES,
+    EVERYTHING,
     INFORMED_BASELINE,
-    KNOWN,
-    LEAST_FOR_INTERVAL,
+    MIN_TRIALS_FOR_INTERVAL,
     REFERENCES,
-    Cell,
     Estimate,
     Summary,
+    cell_name,
 )
-from mrtask.analysis.style import short_name
+from mrtask.analysis.style import counted, planner_label
+from mrtask.planning.planners import Role, planner_role, planners_in_order
 
-EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
-FEW_PAIRS = 30
-"""Below this many trials in a cell its interval says little."""
-TOLD_APART = ("config_hash", "code_version", "model_version")
-"""Columns that a single experiment has one value of."""
+MIN_PAIRS = 30
+"""With fewer trials the interval of a cell says little."""
+FALLBACK_ROLES = (Role.REFERENCE, Role.BASELINE, Role.BOUND)
+"""What the report is about where none of our planners ran."""
+SINGLE_VALUED = ("config_hash", "code_version", "model_version")
+"""Columns that have one value in a single experiment."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,23 @@ class Findings:
 
 
 def main_planner(planners: Sequence[str], wanted: str | None = None) -> str | None:
-    """The planner that the report is about: ``wanted``, else `pouct`, a user's own, or the best of the rest."""
+    """The planner that the report is about: ``wanted``, else one of ours, or the best of the rest.
+
+    Of ours, the first in the order of planners; of the references and the baselines, the last, which is the strongest.
+    """
     if wanted in planners:
         return wanted
-    own = [name for name in planners if name not in (*REFERENCES, "pouct", KNOWN)]
-    ranked = ["pouct", *own, PAPERS_PLANNER, "greedy", *reversed(BASELINES), KNOWN]
-    return next((name for name in ranked if name in planners), None)
+    ordered = planners_in_order(planners)
+    ours = [name for name in ordered if planner_role(name) is Role.OURS]
+    rest = [name for role in FALLBACK_ROLES for name in reversed(ordered) if planner_role(name) is role]
+    return next(iter([*ours, *rest]), None)
 
 
 def find(summary: Summary, published: Published, planner: str | None) -> Findings:
     """The findings on ``planner`` against the baselines that ran."""
     if planner is None:
         return Findings("No answer", "There are no episodes yet.", (), ())
-    name = short_name(planner)
+    name = planner_label(planner)
     against = [b for b in BASELINES if b != planner and (EVERYTHING, planner, b) in summary.comparisons]
     pooled = {b: summary.comparisons[EVERYTHING, planner, b].improvement for b in against}
     shown = {b: estimate for b, estimate in pooled.items() if estimate.defined}
@@ -67,8 +71,8 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
         )
         return Findings("No answer", f"{name} cannot be compared with the baselines: {reason}.", (), warnings)
     # The harder baseline, which a reader asks about first, opens the sentence.
-    told = [f"{_than(estimate)} {short_name(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
-    headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(told)}."
+    parts = [f"{_than(estimate)} {planner_label(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
+    headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(parts)}."
     sentences = [_cells_sentence(summary, planner, b) for b in reversed(shown)]
     sentences += _published_sentences(summary, published, planner, list(shown))
     sentences += _reference_sentences(summary, planner)
@@ -82,7 +86,7 @@ def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
     """
     warnings = []
     in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
-    for column in TOLD_APART:
+    for column in SINGLE_VALUED:
         if column in episodes.columns and not (in_sweep and column == "config_hash"):
             values = sorted(episodes[column].dropna().astype(str).unique())
             if len(values) > 1:
@@ -92,7 +96,7 @@ def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
 
 
 def percent(value: float) -> str:
-    """One decimal."""
+    """A percentage with one decimal."""
     return f"{value:.1f}\N{NO-BREAK SPACE}%"
 
 
@@ -113,7 +117,7 @@ def _than(estimate: Estimate) -> str:
 
 
 def _interval(estimate: Estimate) -> str:
-    if not np.isfinite(estimate.low):
+    if not estimate.has_interval:
         return "too few trials for an interval"
     sign = "" if estimate.value >= 0 else f"improvement {percent(estimate.value)}, "
     return f"{sign}95 % interval {estimate.low:.1f} to {estimate.high:.1f}"
@@ -137,7 +141,7 @@ def _cells_sentence(summary: Summary, planner: str, baseline: str) -> str:
     least = min(found, key=lambda cell: found[cell].value)
     most = max(found, key=lambda cell: found[cell].value)
     text = (
-        f"Against {short_name(baseline)} it is better in {ahead} of {_count(len(found), 'cell')} "
+        f"Against {planner_label(baseline)} it is better in {ahead} of {counted(len(found), 'cell')} "
         f"of size class and team size, clearly (the interval excludes zero) in {clear}"
     )
     text += f", and clearly worse in {behind}" if behind else ""
@@ -163,7 +167,7 @@ def _published_sentences(summary: Summary, published: Published, planner: str, b
     ours = np.mean([estimate.value for estimate, _ in pairs])
     theirs = np.mean([printed for _, printed in pairs])
     return [
-        f"Beside the published planner: of {_count(len(pairs), 'published improvement')} for these cells, ours is "
+        f"Beside the published planner: of {counted(len(pairs), 'published improvement')} for these cells, ours is "
         f"above {above} (its whole interval in {clearly_above}) and below {len(pairs) - above} (whole interval in "
         f"{clearly_below}); on average {percent(float(ours))} against {percent(float(theirs))} published."
     ]
@@ -178,7 +182,7 @@ def _reference_sentences(summary: Summary, planner: str) -> list[str]:
             sentences.append(f"It finishes {_than(estimate)} {reference} ({_interval(estimate)}).")
     gap = summary.gaps.get((EVERYTHING, planner))
     if gap and gap.defined:
-        interval = f" (95 % interval {gap.low:.1f} to {gap.high:.1f})" if np.isfinite(gap.low) else ""
+        interval = f" (95 % interval {gap.low:.1f} to {gap.high:.1f})" if gap.has_interval else ""
         sentences.append(
             f"Of what knowing all contents would save over {INFORMED_BASELINE}, "
             f"it saves {percent(gap.value)}{interval}."
@@ -191,38 +195,26 @@ def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
     for status in ("error", "timeout"):
         counts = {name: summary.planner_cells[EVERYTHING, name].counts[status] for name in summary.planners}
         if total := sum(counts.values()):
-            shares = ", ".join(f"{short_name(name)} {count}" for name, count in counts.items() if count)
-            warnings.append(f"{_count(total, 'episode')} ended with status {status} ({shares}).")
+            shares = ", ".join(f"{planner_label(name)} {count}" for name, count in counts.items() if count)
+            warnings.append(f"{counted(total, 'episode')} ended with status {status} ({shares}).")
     for baseline in BASELINES:
         comparison = summary.comparisons.get((EVERYTHING, planner, baseline))
         if comparison and comparison.only_baseline:
             warnings.append(
-                f"{short_name(baseline)} finished {_count(comparison.only_baseline, 'trial')} that "
-                f"{short_name(planner)} has not: they are in no comparison, which flatters the latter."
+                f"{planner_label(baseline)} finished {counted(comparison.only_baseline, 'trial')} that "
+                f"{planner_label(planner)} has not: they are in no comparison, which flatters the latter."
             )
     pairs = {
         cell: comparison.improvement.n
         for (cell, name, baseline), comparison in summary.comparisons.items()
         if name == planner and baseline in BASELINES and cell in summary.cells
     }
-    few = [cell for cell, n in pairs.items() if n < FEW_PAIRS]
+    few = [cell for cell, n in pairs.items() if n < MIN_PAIRS]
     if few:
         fewest = min(few, key=lambda cell: pairs[cell])
         warnings.append(
-            f"Fewer than {FEW_PAIRS} paired trials in {len(few)} of {_count(len(pairs), 'cell')} (the fewest: "
+            f"Fewer than {MIN_PAIRS} paired trials in {len(few)} of {counted(len(pairs), 'cell')} (the fewest: "
             f"{pairs[fewest]} in {cell_name(fewest)}): intervals there are rough, "
-            f"and below {LEAST_FOR_INTERVAL} trials there are none."
+            f"and below {MIN_TRIALS_FOR_INTERVAL} trials there are none."
         )
     return tuple(warnings)
-
-
-def cell_name(cell: Cell) -> str:
-    """``medium, 2 robots``."""
-    size_class, robots = cell
-    if robots == ALL_TEAMS:
-        return size_class
-    return f"{size_class}, {_count(robots, 'robot')}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

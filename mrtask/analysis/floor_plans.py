@@ -28,11 +28,11 @@ WALL_COLOR, ACCESS_COLOR, BLOCKED_COLOR = "#3b3f45", "#1f6fb2", "#00000018"
 WALL_WIDTH_PT = 2.4
 MARGIN_M = 0.3
 ROOM_FONT_PT, MAX_FONT_PT, MIN_FONT_PT = 7.0, 6.0, 2.5
-"""Furniture is labelled as large as it allows between the last two, and not at all where even the smallest is too
-large."""
+"""A label is as large as its furniture allows between the last two sizes; where even the smallest does not fit, there
+is none."""
 POINTS_PER_INCH = 72
 CHAR_WIDTH, LINE_HEIGHT = 0.65, 1.3
-"""Of a font's size."""
+"""Relative to the font's size."""
 UNNAMED_TYPES = frozenset({"Chair"})
 """They stand close together around tables, whose names they would hide."""
 CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5}
@@ -43,8 +43,8 @@ GALLERY_CELL_IN = 4.0
 def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool = True, names: bool = True) -> None:
     """Draw a floor plan into ``ax``, in metres.
 
-    Full containers are dark and empty ones light, with the number of objects where ``objects``; other furniture is
-    grey. With a map, floor out of the robot's reach is shaded and a dot marks where each container is reached.
+    Full containers are dark and empty ones light, with the number of objects if ``objects`` is true; other furniture
+    is grey. With a map, floor that the robot cannot reach is shaded and a dot marks where each container is reached.
     """
     draw_rooms(home, ax)
     if home_map is not None:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
-PAPERS_PLANNER = "pouct_paper"
-"""Our name for the planner that the paper proposes."""
+from mrtask.planning.planners import PAPERS_PLANNER, published_counterpart
 
 Cell = tuple[str, int]
 """``(size class, robots)``: one column of the paper's table."""
@@ -38,14 +37,20 @@ class Published:
     citation: str
     url: str
     cost_cells: Mapping[tuple[str, Cell], float]
-    """``(planner, cell)`` -> mean cost; planners are `nonlearned_myopic`, `learned_myopic` and `PAPERS_PLANNER`."""
+    """``(planner, cell)`` -> mean cost; planners by our names."""
     improvement_percent: Mapping[tuple[str, Cell], float]
     """``(baseline, cell)`` -> the paper's planner's improvement over it."""
     real_world: tuple[RealWorldTrial, ...]
 
+    @property
+    def planners(self) -> tuple[str, ...]:
+        """The planners of the paper's table, by our names, in its order."""
+        return tuple(dict.fromkeys(planner for planner, _ in self.cost_cells))
+
     def cost_of(self, planner: str, cell: Cell) -> float | None:
         """The published mean cost of the `published_counterpart` of one of our planners."""
-        return self.cost_cells.get((published_counterpart(planner), cell))
+        counterpart = published_counterpart(planner)
+        return None if counterpart is None else self.cost_cells.get((counterpart, cell))
 
     def improvement_of(self, planner: str, baseline: str, cell: Cell) -> float | None:
         """The published improvement to set beside ours of ``planner`` over ``baseline``, in percent.
@@ -56,15 +61,6 @@ class Published:
             return self.improvement_percent.get((baseline, cell))
         cost, base_cost = self.cost_of(planner, cell), self.cost_of(baseline, cell)
         return None if planner == baseline or cost is None or base_cost is None else 100 * (1 - cost / base_cost)
-
-
-def published_counterpart(planner: str) -> str:
-    """The planner of the paper's table that ``planner`` is compared with.
-
-    The baselines and references stand for themselves (`known` and `greedy` are not in the paper); every other planner
-    is measured against the one that the paper proposes.
-    """
-    return planner if planner in ("nonlearned_myopic", "learned_myopic", "greedy", "known") else PAPERS_PLANNER
 
 
 @cache

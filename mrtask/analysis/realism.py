@@ -25,14 +25,14 @@ Values = Sequence[Any]
 
 @dataclass(frozen=True)
 class DescribedHome:
-    """What the comparison needs of one home: the statistics that take no map are made from ``home``."""
+    """What the comparison needs of one home: statistics that need no map are computed from ``home``."""
 
     home: Home
     travel_m: tuple[float, ...]
-    """Path lengths between each two reachable containers."""
+    """Path lengths between all pairs of reachable containers."""
     reachable_share: float
     free_floor_share: float
-    """Floor in the main region over all floor."""
+    """Free floor in the main region, relative to all floor."""
     main_region_share: float
 
 

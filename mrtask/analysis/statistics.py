@@ -6,7 +6,7 @@ here is a function of the planners' mean costs; this makes the resampling a matr
 jackknife a closed form, so that 100,000 episodes take seconds.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,41 +17,45 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from mrtask.analysis.episodes import STATUSES, size_classes_in_order
+from mrtask.analysis.style import counted
+from mrtask.planning.planners import Role, planners_in_order, planners_with_role
 
 Floats = NDArray[np.float64]
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 SEED = 20603
-"""Of the resampling; every estimate starts from it, so none depends on which others are made."""
-LEAST_FOR_INTERVAL = 10
-"""Resampling fewer trials than this knows too little of their spread: its interval would be far too narrow."""
-BATCH_CELLS = 4_000_000
-EXACT_UP_TO = 13
-"""Trials: with more, all signs are too many, and SciPy takes the exact distribution or the normal one."""
+"""Of the resampling. Every estimate starts from it, so that none depends on which others are computed."""
+MIN_TRIALS_FOR_INTERVAL = 10
+"""Fewer trials than this say too little about their spread: the interval would be far too narrow."""
+MAX_BATCH_CELLS = 4_000_000
+MAX_EXACT_TRIALS = 13
+"""Up to this many trials the test goes through all signs of the differences; beyond that it is SciPy's."""
 SAME_COST_S = 1e-6
 SAME_VALUE = 1e-10
-"""Resamples of the same trials in another order differ by rounding."""
+"""Relative and absolute tolerance: resamples of the same trials in another order differ by rounding."""
 
-BASELINES = ("nonlearned_myopic", "learned_myopic")
-"""The paper's baselines: what a planner's improvement is measured against."""
-REFERENCES = (*BASELINES, "greedy", "pouct_paper")
-"""All planners that others are compared with; `known` is the reference of `Summary.gaps`."""
+BASELINES = planners_with_role(Role.BASELINE)
+"""What a planner's improvement is measured against."""
+REFERENCES = (*BASELINES, *planners_with_role(Role.REFERENCE))
+"""All planners that others are compared with."""
 INFORMED_BASELINE, KNOWN = "learned_myopic", "known"
-PLANNER_ORDER = ("nonlearned_myopic", "learned_myopic", "greedy", "pouct_paper", "pouct")
-"""Tables go from the simplest planner to the best informed: these, a user's own, `known`."""
-
-ALL_CLASSES, ALL_TEAMS = "all", 0
-"""Stand for a size class and a team size in what is pooled over them."""
+"""Between these two lies the gap of `Summary.gaps`."""
+RULE = "greedy"
+"""The strongest planner without search: what search is worth is its improvement over this one."""
 
 Cell = tuple[str, int]
+"""``(size class, robots)``"""
+ALL_CLASSES, ALL_TEAMS = "all", 0
+"""Stand for a size class and a team size in what is pooled over them."""
+EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """A value from ``n`` trials with its 95 % interval; NaN where it is not defined.
 
-    There is no interval below `LEAST_FOR_INTERVAL` trials.
+    There is no interval below `MIN_TRIALS_FOR_INTERVAL` trials.
     """
 
     value: float
@@ -63,6 +67,15 @@ class Estimate:
     def defined(self) -> bool:
         """Whether there is a value."""
         return bool(np.isfinite(self.value))
+
+    @property
+    def has_interval(self) -> bool:
+        """Whether there is an interval too."""
+        return bool(np.isfinite(self.low))
+
+
+UNDEFINED = Estimate(np.nan, np.nan, np.nan, 0)
+"""The estimate from no trials."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +131,33 @@ class Summary:
 
     @property
     def cells(self) -> list[Cell]:
-        """The single cells that have episodes, in the table's order."""
+        """The cells of one size class and one team size that have episodes, in the table's order."""
         present = {cell for cell, _ in self.planner_cells}
         return [(c, r) for c in self.size_classes for r in self.robots if (c, r) in present]
+
+    def compared(self, planner: str, baseline: str) -> bool:
+        """Whether there is a cell in which both ran."""
+        return any(key[1:] == (planner, baseline) for key in self.comparisons)
+
+    def cost(self, cell: Cell, planner: str) -> Estimate:
+        """The mean cost in grid cells; `UNDEFINED` where the planner did not run."""
+        found = self.planner_cells.get((cell, planner))
+        return found.cost_cells if found else UNDEFINED
+
+    def improvement(self, cell: Cell, planner: str, baseline: str) -> Estimate:
+        """The improvement over the baseline in percent; `UNDEFINED` where the two are not compared."""
+        found = self.comparisons.get((cell, planner, baseline))
+        return found.improvement if found else UNDEFINED
+
+    def gap(self, cell: Cell, planner: str) -> Estimate:
+        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is none."""
+        return self.gaps.get((cell, planner), UNDEFINED)
+
+
+def cell_name(cell: Cell) -> str:
+    """``medium, 2 robots``; of a size class over all teams, the class alone."""
+    size_class, robots = cell
+    return size_class if robots == ALL_TEAMS else f"{size_class}, {counted(robots, 'robot')}"
 
 
 class Bootstrap:
@@ -137,7 +174,7 @@ class Bootstrap:
         """[B, P]"""
         n, rng = len(self.costs), np.random.default_rng(self.seed)
         means = np.empty((self.resamples, self.costs.shape[1]))
-        batch = max(1, BATCH_CELLS // n)
+        batch = max(1, MAX_BATCH_CELLS // n)
         for first in range(0, self.resamples, batch):
             rows = min(batch, self.resamples - first)
             drawn = rng.integers(n, size=(rows, n)) + n * np.arange(rows)[:, None]
@@ -162,7 +199,7 @@ class Bootstrap:
             value = float(statistic(means))
             if not np.isfinite(value):
                 return nothing
-            if n < LEAST_FOR_INTERVAL:
+            if n < MIN_TRIALS_FOR_INTERVAL:
                 return Estimate(value, np.nan, np.nan, n)
             resampled = statistic(self._resampled_means[:, taken])
             left_out = statistic((n * means - costs) / (n - 1))
@@ -188,10 +225,11 @@ def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
 
 def improvement_percent(cost: Floats, baseline: Floats) -> Estimate:
     """``1 - mean(cost) / mean(baseline)`` of paired costs [N], in percent; undefined where the baseline's mean is 0."""
-    return Bootstrap(np.column_stack([cost, baseline])).estimate(_improvement)
+    return Bootstrap(np.column_stack([cost, baseline])).estimate(improvement_of_means)
 
 
-def _improvement(means: Floats) -> Floats:
+def improvement_of_means(means: Floats) -> Floats:
+    """The improvement in percent from means [..., 2] of planner and baseline."""
     return np.asarray(100 * (1 - means[..., 0] / means[..., 1]))
 
 
@@ -227,13 +265,13 @@ def _wilcoxon(saved: Floats) -> float:
     saved = np.where(np.abs(saved) <= SAME_COST_S, 0.0, saved)
     if not saved.any():
         return 1.0
-    if len(saved) <= EXACT_UP_TO:
+    if len(saved) <= MAX_EXACT_TRIALS:
         return _exact_wilcoxon(saved)
     return float(stats.wilcoxon(saved, zero_method="zsplit").pvalue)
 
 
 def _exact_wilcoxon(saved: Floats) -> float:
-    """Over all signs that the differences could have had; SciPy does so too, a thousand times slower."""
+    """Goes through all signs that the differences could have had, as SciPy does, but a thousand times faster."""
     ranks = stats.rankdata(np.abs(saved))[saved != 0]
     signs = (np.arange(2 ** len(ranks))[:, None] >> np.arange(len(ranks))) & 1
     sums, found = signs @ ranks, ranks[saved[saved != 0] > 0].sum()
@@ -241,7 +279,7 @@ def _exact_wilcoxon(saved: Floats) -> float:
 
 
 def summarise(episodes: pd.DataFrame) -> Summary:
-    """All statistics of one variant's prepared episodes: by cell, by size class over all teams, and over everything."""
+    """All statistics of one variant's checked episodes: by cell, by size class over all teams, and over everything."""
     planners = planners_in_order(episodes["planner"].unique())
     classes = tuple(size_classes_in_order(episodes["size_class"].unique()))
     summary = Summary(planners, classes, tuple(sorted(map(int, episodes["robots"].unique()))), {}, {}, {})
@@ -250,16 +288,8 @@ def summarise(episodes: pd.DataFrame) -> Summary:
         for robots in summary.robots:
             _summarise_cell(summary, (size_class, robots), of_class[of_class["robots"] == robots])
         _summarise_cell(summary, (size_class, ALL_TEAMS), of_class)
-    _summarise_cell(summary, (ALL_CLASSES, ALL_TEAMS), episodes)
+    _summarise_cell(summary, EVERYTHING, episodes)
     return summary
-
-
-def planners_in_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Simplest to best informed."""
-    present = set(names)
-    first = [name for name in PLANNER_ORDER if name in present]
-    last = [name for name in (KNOWN,) if name in present]
-    return (*first, *sorted(present - {*first, *last}), *last)
 
 
 def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame:
@@ -292,7 +322,7 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
         for baseline in REFERENCES:
             if baseline in planners and baseline != name:
                 other = planners.index(baseline)
-                improvement = estimate(_improvement, [index, other])
+                improvement = estimate(improvement_of_means, [index, other])
                 summary.comparisons[cell, name, baseline] = compare(costs[:, index], costs[:, other], improvement)
         if {INFORMED_BASELINE, KNOWN} <= set(planners) and name not in (INFORMED_BASELINE, KNOWN):
             columns = [index, planners.index(INFORMED_BASELINE), planners.index(KNOWN)]

@@ -1,4 +1,4 @@
-"""How figures look, the same in all of them: one colour and marker per planner, one colour per robot or team size.
+"""How figures and tables look, the same in all of them: labels, colours, markers, units.
 
 Colours are Okabe and Ito's, which people with colour-vision deficiencies tell apart (https://jfly.uni-koeln.de/color/).
 """
@@ -16,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from mrtask.planning.planners import PLANNERS
+
 BLACK, GREY, LIGHT_GREY = "#222222", "#767676", "#d9d9d9"
 ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#e69f00",
@@ -27,7 +29,7 @@ ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#cc79a7",
 )
 ROBOT_COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, GREY)
-"""By robot index, or by team size less one; they repeat for larger teams."""
+"""By robot index, or by team size minus one; they repeat for larger teams."""
 ROBOT_LINES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), "-.")
 PLANNER_LOOKS = {
     "nonlearned_myopic": (GREY, "s"),
@@ -37,11 +39,13 @@ PLANNER_LOOKS = {
     "pouct": (BLUE, "o"),
     "known": (BLACK, "*"),
 }
-OTHER_LOOKS = ((PURPLE, "P"), (VERMILION, "X"), (YELLOW, "p"))
+"""``(colour, marker)`` where a planner has its own; every other planner gets the next of those below."""
+OTHER_COLORS = (PURPLE, VERMILION, YELLOW)
+OTHER_MARKERS = "PXph<>d"
 PIXELS_PER_INCH = 150
 PADDING_IN = 0.08
 NOTHING = "\N{EN DASH}"
-"""Stands where there is no value."""
+"""Shown where there is no value."""
 
 RC: dict[Any, Any] = {
     "font.size": 9,
@@ -69,17 +73,20 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure apart from pyplot's global state, laid out without overlaps."""
+    """A figure that is independent of pyplot's global state and laid out without overlaps."""
     figure = Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(h_pad=PADDING_IN, w_pad=PADDING_IN))
     FigureCanvasAgg(figure)
     return figure
 
 
 def planner_looks(planners: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """``(colour, marker)`` of each planner; users' own get the colours left."""
-    others = [name for name in planners if name not in PLANNER_LOOKS]
-    own = {name: OTHER_LOOKS[index % len(OTHER_LOOKS)] for index, name in enumerate(others)}
-    return {name: PLANNER_LOOKS.get(name) or own[name] for name in planners}
+    """``(colour, marker)`` of each planner; the same in every figure for a planner of the table."""
+    others = [name for name in dict.fromkeys([*PLANNERS, *planners]) if name not in PLANNER_LOOKS]
+    found = PLANNER_LOOKS | {
+        name: (OTHER_COLORS[index % len(OTHER_COLORS)], OTHER_MARKERS[index % len(OTHER_MARKERS)])
+        for index, name in enumerate(others)
+    }
+    return {name: found[name] for name in planners}
 
 
 def robot_color(index: int) -> str:
@@ -87,9 +94,14 @@ def robot_color(index: int) -> str:
     return ROBOT_COLORS[index % len(ROBOT_COLORS)]
 
 
-def short_name(planner: str) -> str:
-    """A planner's name as figures and tables show it: of an import path, the last part."""
+def planner_label(planner: str) -> str:
+    """What figures and tables call a planner: its name; of an import path, the last part."""
     return planner.rsplit(".", 1)[-1]
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 robot``, ``2 robots``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def seconds(value: float) -> str:
@@ -109,6 +121,6 @@ def data_uri(figure: Figure) -> str:
     """The figure as an SVG data URI, the same bytes for the same figure."""
     buffer = io.BytesIO()
     with house_style(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font has not
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,4 +1,4 @@
-"""Plots of one training: how the loss fell, and how far the probabilities can be taken at their word."""
+"""Plots of one training: how the loss fell, and how well the probabilities are calibrated."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from mrtask.likelihood.options import EpochMetrics
 
-LOWEST_SHOWN = 1e-3
+MIN_SHOWN_PROB = 1e-3
 """Where the axes of an empty plot begin."""
 
 
@@ -29,7 +29,7 @@ def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | Non
 def reliability_plot(reliability: pd.DataFrame) -> Figure:
     """Observed frequency against mean probability of the bins of ``metrics.reliability``, on log axes.
 
-    With Wilson's 95 % intervals, as if the rows were independent; a bin without finds is an interval only.
+    With Wilson's 95 % intervals, as if the rows were independent. A bin without a found object has only its interval.
     """
     figure = Figure(figsize=(5.0, 5.0), layout="constrained")
     axes = figure.subplots()
@@ -38,7 +38,7 @@ def reliability_plot(reliability: pd.DataFrame) -> Figure:
         for frequency, rows in zip(reliability["frequency"], reliability["rows"], strict=True)
     ]
     smallest = reliability[["mean_prob", "frequency"]].to_numpy().ravel()
-    low = min((float(value) for value in smallest if value > 0), default=LOWEST_SHOWN) / 2
+    low = min((float(value) for value in smallest if value > 0), default=MIN_SHOWN_PROB) / 2
     axes.plot([low, 1.0], [low, 1.0], color="gray", linestyle="--", label="perfect")
     axes.vlines(reliability["mean_prob"], [max(test.low, low) for test in tests], [test.high for test in tests])
     found = reliability[reliability["frequency"] > 0]

@@ -1,4 +1,4 @@
-"""Drawn episodes: a home's floor plan with what each robot drove, searched and did, planner beside baseline.
+"""Drawn episodes: a home's floor plan with where each robot drove, searched and interacted, planner beside baseline.
 
 The trials drawn are chosen by rule, not by eye: among those of the largest team, where the planner saved most against
 the baseline, where it saved the median, and where it lost most.
@@ -20,16 +20,16 @@ from matplotlib.patches import Polygon as DrawnPolygon
 from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.analysis.floor_plans import draw_rooms
-from mrtask.analysis.statistics import paired_costs
-from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, robot_color, short_name
+from mrtask.analysis.statistics import BASELINES, INFORMED_BASELINE, paired_costs
+from mrtask.analysis.style import BLACK, GREY, ROBOT_LINES, YELLOW, house_style, new_figure, planner_label, robot_color
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 
 FURNITURE = "#d5d0c8"
 PANEL_WIDTH_IN, MAX_HEIGHT_IN = 5.3, 6.5
-SHORTEST_SHOWN_WAIT_S = 0.5
-ARROW_LEAST_M = 0.6
-LABEL_AREA_M2 = 0.3
+MIN_SHOWN_WAIT_S = 0.5
+MIN_ARROW_M = 0.6
+MIN_LABEL_AREA_M2 = 0.3
 """Smaller furniture is labelled only where it matters to the episode."""
 BACKDROP = {"facecolor": "white", "alpha": 0.55, "linewidth": 0, "pad": 0.6}
 ONE_PLANNER_PICKS = ("the longest", "the median", "the shortest")
@@ -84,6 +84,13 @@ def instructive_trials(
     return picks
 
 
+def baseline_beside(episodes: pd.DataFrame, planner: str) -> str | None:
+    """The planner drawn beside the main one: the informed baseline, or the first other that ran; None if none did."""
+    ran = set(episodes["planner"])
+    candidates = (INFORMED_BASELINE, *BASELINES, *sorted(ran))
+    return next((name for name in candidates if name in ran and name != planner), None)
+
+
 def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
     """One panel per planner of the same trial.
 
@@ -103,7 +110,7 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
             waited |= any(_is_shown_wait(leg) for legs in trace.robots for leg in legs)
             draw_searched_home(axes, home, task_objects(row.get("objects")), _visited(trace))
             draw_trace(axes, trace, home)
-            axes.set_title(f"{short_name(planner)}: {row['cost_s']:.1f} s")
+            axes.set_title(f"{planner_label(planner)}: {row['cost_s']:.1f} s")
             axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
         figure.legend(handles=_legend(robots, waited), loc="outside lower center", ncols=8, fontsize=8)
     return figure
@@ -138,7 +145,7 @@ def _draw_container(axes: Axes, container: Container, held: Sequence[str], label
         )
     )  # fmt: skip
     shape = ShapelyPolygon(container.footprint)
-    if held or labelled or shape.area > LABEL_AREA_M2:
+    if held or labelled or shape.area > MIN_LABEL_AREA_M2:
         name = container.type + (f"\n[{', '.join(held)}]" if held else "")
         axes.text(
             shape.centroid.x, shape.centroid.y, name, ha="center", va="center", fontsize=5.5,
@@ -148,7 +155,7 @@ def _draw_container(axes: Axes, container: Container, held: Sequence[str], label
 
 
 def draw_trace(axes: Axes, trace: Trace, home: Home) -> None:
-    """Each robot's way in its colour; the team's searches numbered, stars for interactions, squares for waits."""
+    """Each robot's path in its colour; the team's searches are numbered, stars are interactions, squares are waits."""
     searches = sorted(
         ((leg.t1_s, robot, leg) for robot, legs in enumerate(trace.robots) for leg in legs if leg.kind == "search"),
         key=lambda entry: entry[:2],
@@ -196,7 +203,7 @@ def _visited(trace: Trace) -> set[str]:
 
 
 def _is_shown_wait(leg: Leg) -> bool:
-    return leg.kind == "wait" and leg.t1_s - leg.t0_s > SHORTEST_SHOWN_WAIT_S
+    return leg.kind == "wait" and leg.t1_s - leg.t0_s > MIN_SHOWN_WAIT_S
 
 
 def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
@@ -209,7 +216,7 @@ def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
 
 
 def _place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
-    """Where a robot stands at the end of its last leg that began by then."""
+    """Where a robot stands at this time: the end of its last finished leg."""
     places = [leg.path[-1] for leg in legs if leg.t1_s <= t_s + 1e-6]
     return places[-1] if places else start
 
@@ -218,7 +225,7 @@ def _arrow(axes: Axes, path: Sequence[Point], color: str) -> None:
     """An arrow head in the middle of the longest straight stretch."""
     points = np.array(path)
     lengths = np.hypot(*np.diff(points, axis=0).T)
-    if not len(lengths) or lengths.max() < ARROW_LEAST_M:
+    if not len(lengths) or lengths.max() < MIN_ARROW_M:
         return
     longest = int(lengths.argmax())
     tail, head = points[longest], points[longest + 1]

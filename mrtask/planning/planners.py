@@ -1,11 +1,16 @@
-"""The planners by name, and how a configuration becomes one.
+"""The planners by name: what each one is, and how a configuration becomes one.
 
-A planner of a user's own needs no entry here: its import path (``package.module.name`` of a class or function that
-takes its options as keywords and returns a `Planner`) stands wherever a name does.
+To add a planner, add an entry to `PLANNERS`: tables, figures and findings follow its role and its place there. Colours
+are not in this table, because they decide no result: `mrtask.analysis.style` has a default for every planner.
+
+A planner of a user's own needs no entry: its import path (``package.module.name`` of a class or function that takes its
+options as keywords and returns a `Planner`) can be given wherever a name is expected.
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
 from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
@@ -13,6 +18,35 @@ from mrtask.planning.myopic import learned_myopic, nonlearned_myopic
 from mrtask.planning.paper import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner, PlanOnly
+
+PAPERS_PLANNER = "pouct_paper"
+"""The planner that the paper proposes."""
+
+
+class Role(Enum):
+    """What a planner is in a comparison."""
+
+    BASELINE = "baseline"
+    """A baseline of the paper: the report gives every planner's improvement over it."""
+    REFERENCE = "reference"
+    """Another planner that all are compared with."""
+    OURS = "ours"
+    """A planner under study; users' own planners are such."""
+    BOUND = "bound"
+    """Knows more than a planner can know: it shows what is left to gain."""
+
+
+@dataclass(frozen=True)
+class PlannerEntry:
+    """One planner of the table."""
+
+    factory: Callable[..., Planner]
+    """Makes the planner from its options, given as keywords."""
+    role: Role
+    options: Callable[..., object] | None = None
+    """The class of its options, where ``factory`` does not list them; for error messages."""
+    published_as: str | None = None
+    """The planner in the paper's table of results that it is compared with, by our name for it; None: not in it."""
 
 
 def pouct(**options: object) -> Planner:
@@ -30,20 +64,41 @@ def known(**options: object) -> Planner:
     return Known(PouctOptions(**options))  # type: ignore[arg-type]
 
 
-PLANNERS: Mapping[str, Callable[..., Planner]] = {
-    "nonlearned_myopic": nonlearned_myopic,
-    "learned_myopic": learned_myopic,
-    "pouct_paper": pouct_paper,
-    "pouct": pouct,
-    "greedy": Greedy,
-    "known": known,
+PLANNERS: Mapping[str, PlannerEntry] = {
+    "nonlearned_myopic": PlannerEntry(nonlearned_myopic, Role.BASELINE, published_as="nonlearned_myopic"),
+    "learned_myopic": PlannerEntry(learned_myopic, Role.BASELINE, published_as="learned_myopic"),
+    "greedy": PlannerEntry(Greedy, Role.REFERENCE),
+    "pouct_paper": PlannerEntry(pouct_paper, Role.REFERENCE, PaperOptions, published_as=PAPERS_PLANNER),
+    "pouct": PlannerEntry(pouct, Role.OURS, PouctOptions, published_as=PAPERS_PLANNER),
+    "known": PlannerEntry(known, Role.BOUND, PouctOptions),
 }
+"""From the simplest planner to the best informed: the order of rows and legends."""
 
-OPTIONS: Mapping[str, Callable[..., object]] = {
-    "pouct": PouctOptions,
-    "known": PouctOptions,
-    "pouct_paper": PaperOptions,
-}
+
+def planner_role(name: str) -> Role:
+    """The role of a planner; one that is not in the table is a user's own."""
+    return PLANNERS[name].role if name in PLANNERS else Role.OURS
+
+
+def planners_with_role(role: Role) -> tuple[str, ...]:
+    """The planners of the table with this role, in its order."""
+    return tuple(name for name, entry in PLANNERS.items() if entry.role is role)
+
+
+def planners_in_order(names: Iterable[str]) -> tuple[str, ...]:
+    """Each name once, in the table's order; users' own planners come by name, after all others but the bounds."""
+    present, bounds = set(names), planners_with_role(Role.BOUND)
+    first = [name for name in PLANNERS if name in present and name not in bounds]
+    last = [name for name in bounds if name in present]
+    return (*first, *sorted(present - {*first, *last}), *last)
+
+
+def published_counterpart(name: str) -> str | None:
+    """The planner in the paper's table that this one is compared with: for a user's own, the one the paper proposes.
+
+    None for a planner of ours that has no counterpart there.
+    """
+    return PLANNERS[name].published_as if name in PLANNERS else PAPERS_PLANNER
 
 
 def make_planner(name: str, options: Mapping[str, object] | None = None) -> Planner:
@@ -52,24 +107,27 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
     Raises:
         ValueError: an unknown name, an import path that leads nowhere, or options the planner refuses.
     """
-    if name in PLANNERS:
-        factory = PLANNERS[name]
-    elif "." in name:
-        module_name, _, attribute = name.rpartition(".")
-        try:
-            factory = getattr(import_module(module_name), attribute)
-        except (ImportError, AttributeError) as error:
-            raise ValueError(f"planner {name!r} cannot be imported: {error}") from error
-    else:
-        raise ValueError(
-            f"unknown planner {name!r}; allowed are {', '.join(PLANNERS)} or the import path of your own "
-            "(package.module.name)"
-        )
+    entry = PLANNERS.get(name)
+    factory = entry.factory if entry else _imported(name)
     try:
         planner = factory(**(options or {}))
     except (TypeError, ValueError) as error:
-        accepted = OPTIONS.get(name, factory)
+        accepted = entry.options if entry and entry.options else factory
         raise ValueError(
             f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(accepted)}"
         ) from error
     return planner if isinstance(planner, Planner) else PlanOnly(planner.plan)
+
+
+def _imported(path: str) -> Callable[..., Planner]:
+    module_name, dot, attribute = path.rpartition(".")
+    if not dot:
+        raise ValueError(
+            f"unknown planner {path!r}; allowed are {', '.join(PLANNERS)} or the import path of your own "
+            "(package.module.name)"
+        )
+    try:
+        factory: Callable[..., Planner] = getattr(import_module(module_name), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"planner {path!r} cannot be imported: {error}") from error
+    return factory

@@ -4,10 +4,11 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mrtask.planning.planners import Role, planners_with_role
 from pipeline.base.config import UserError
 
-BASELINE = "nonlearned_myopic"
-PLANNER = "pouct"
+BASELINE = planners_with_role(Role.BASELINE)[0]
+PLANNER = planners_with_role(Role.OURS)[0]
 MIN_EPISODES_TO_JUDGE = 20
 """The share of failures is looked at from here on."""
 

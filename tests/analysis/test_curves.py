@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from mrtask.analysis import curves
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.episodes import checked_episodes
 from tests.analysis.synthetic import fail, make_episodes
 
 BUDGETS = (10, 100, 1000)
@@ -20,14 +20,14 @@ def sweep(rise: float = 1.0) -> pd.DataFrame:
         frame.loc[own, ["cost_s", "cost_cells"]] *= 1 + rise / 10**index
         frame[curves.BUDGET] = np.where(own, budget, np.nan)
         cells.append(frame.assign(sweep=f"planner.pouct.samples={budget}"))
-    return prepare(pd.concat(cells, ignore_index=True))
+    return checked_episodes(pd.concat(cells, ignore_index=True))
 
 
 def test_the_curve_has_the_mean_of_the_trials_that_all_finished():
     episodes = sweep()
     lost = episodes[(episodes["planner"] == "greedy") & (episodes["robots"] == 2)]["trial_id"].iloc[0]
     episodes.loc[(episodes["planner"] == "greedy") & (episodes["trial_id"] == lost), "cost_cells"] = np.nan
-    figure = curves.by_samples(episodes, "pouct")
+    figure = curves.draw_sample_curves(curves.sample_curves(episodes, "pouct"))
     upper, lower = figure.axes[1], figure.axes[3]
     assert upper.get_title() == "2 robots, 11 trials"
     kept = episodes[(episodes["robots"] == 2) & (episodes["trial_id"] != lost)]
@@ -44,16 +44,16 @@ def test_the_curve_has_the_mean_of_the_trials_that_all_finished():
 def test_no_curve_without_several_budgets_or_when_more_was_swept():
     episodes = sweep()
     assert (
-        curves.by_samples(episodes[episodes[curves.BUDGET].isin([10]) | episodes[curves.BUDGET].isna()], "pouct")
+        curves.sample_curves(episodes[episodes[curves.BUDGET].isin([10]) | episodes[curves.BUDGET].isna()], "pouct")
         is None
     )
-    assert curves.by_samples(episodes.drop(columns=curves.BUDGET), "pouct") is None
+    assert curves.sample_curves(episodes.drop(columns=curves.BUDGET), "pouct") is None
     other = episodes.assign(cost_cells=episodes["cost_cells"] + 1, variant="other")
-    assert curves.by_samples(pd.concat([episodes, other]), "pouct") is None
+    assert curves.sample_curves(pd.concat([episodes, other]), "pouct") is None
 
 
 def test_by_team_where_search_helps():
-    frame = prepare(make_episodes(40, size_classes=["small"], robots=[1, 2, 3, 4]))
+    frame = checked_episodes(make_episodes(40, size_classes=["small"], robots=[1, 2, 3, 4]))
     own, rule = ((frame["planner"] == name).to_numpy() for name in ("pouct", "greedy"))
     costs = frame.loc[rule, ["cost_s", "cost_cells"]].to_numpy()
     few = (frame.loc[rule, "robots"] <= 2).to_numpy()[:, None]
@@ -69,6 +69,6 @@ def test_by_team_where_search_helps():
 
 def test_unfinished_trials_are_in_no_panel():
     frame = make_episodes(12, size_classes=["small"], robots=[1, 2, 3, 4])
-    frame = prepare(fail(frame, (frame["planner"] == "greedy") & (frame["robots"] == 4)))
+    frame = checked_episodes(fail(frame, (frame["planner"] == "greedy") & (frame["robots"] == 4)))
     assert curves.by_team(frame, "pouct") is not None
     assert curves.worth_by_team(frame, "pouct", "greedy").unclear[-1] == 4

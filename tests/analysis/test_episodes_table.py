@@ -2,7 +2,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.episodes import REQUIRED_COLUMNS, natural_key, prepare, size_classes_in_order, variants_in_order
+from mrtask.analysis.episodes import (
+    REQUIRED_COLUMNS,
+    checked_episodes,
+    natural_key,
+    size_classes_in_order,
+    variants_in_order,
+)
 from tests.analysis.synthetic import make_episodes, rows
 
 
@@ -27,30 +33,30 @@ def change(**values):
 )
 def test_refuses(frame, message):
     with pytest.raises(ValueError, match=message.replace("(", r"\(")):
-        prepare(frame)
+        checked_episodes(frame)
 
 
 def test_costs_count_only_when_accepted():
-    frame = prepare(change(status="timeout"))
+    frame = checked_episodes(change(status="timeout"))
     assert frame["cost_s"].isna().all() and frame["cost_cells"].isna().all()
 
 
 def test_takes_columns_of_nulls():
-    frame = prepare(rows("small", 1, {"pouct": [None, None]}))
+    frame = checked_episodes(rows("small", 1, {"pouct": [None, None]}))
     assert frame["cost_s"].dtype == np.float64
-    assert len(prepare(pd.DataFrame(columns=list(REQUIRED_COLUMNS)))) == 0
+    assert len(checked_episodes(pd.DataFrame(columns=list(REQUIRED_COLUMNS)))) == 0
 
 
 def test_leaves_its_input_alone():
     frame = change(sweep="a=1")
     before = frame.copy()
-    prepare(frame)
+    checked_episodes(frame)
     pd.testing.assert_frame_equal(frame, before)
 
 
 def sweep_of(*labels):
     parts = [rows("small", team, {"pouct": [1.0]}).assign(sweep=label) for label, team in labels]
-    return variants_in_order(prepare(pd.concat(parts)))
+    return variants_in_order(checked_episodes(pd.concat(parts)))
 
 
 def test_overrides_that_columns_say_make_no_variant():

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from mrtask.analysis import figures
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import BASELINES, summarise
-from mrtask.analysis.style import data_uri, planner_looks, seconds, short_name
+from mrtask.analysis.style import data_uri, planner_label, planner_looks, seconds
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 PUBLISHED = load_published()
@@ -17,7 +17,7 @@ PUBLISHED = load_published()
 @pytest.fixture(scope="module")
 def episodes():
     frame = make_episodes(5, size_classes=["small", "large"])
-    return prepare(fail(frame, frame.index.to_series() == 4))  # pouct's first small trial
+    return checked_episodes(fail(frame, frame.index.to_series() == 4))  # pouct's first small trial
 
 
 @pytest.fixture(scope="module")
@@ -69,20 +69,20 @@ def test_sweep_has_the_values_as_ticks(summary):
 
 
 def test_nothing_to_draw(summary):
-    empty = prepare(make_episodes(1).head(0))
+    empty = checked_episodes(make_episodes(1).head(0))
     none = summarise(empty)
     assert figures.scatter(empty, none, "pouct", BASELINES) is None
     assert figures.mean_costs(none, PUBLISHED) is None
     assert figures.improvements(none, PUBLISHED, "pouct", BASELINES) is None
     assert figures.planning_times(empty, ()) is None
     assert figures.sweep({"": summary}, "pouct", BASELINES) is None
-    failed = prepare(rows("small", 1, {"pouct": [None], "learned_myopic": [1.0]}))
+    failed = checked_episodes(rows("small", 1, {"pouct": [None], "learned_myopic": [1.0]}))
     assert figures.scatter(failed, summarise(failed), "pouct", BASELINES) is None
     assert figures.planning_times(failed, ("pouct",)) is None
 
 
 def test_costs_of_zero_are_drawn():
-    frame = prepare(rows("small", 1, {"pouct": [0.0, 0.0], "learned_myopic": [0.0, 0.0]}))
+    frame = checked_episodes(rows("small", 1, {"pouct": [0.0, 0.0], "learned_myopic": [0.0, 0.0]}))
     data_uri(figures.scatter(frame, summarise(frame), "pouct", BASELINES))
     data_uri(figures.improvements(summarise(frame), PUBLISHED, "pouct", BASELINES))
 
@@ -95,14 +95,14 @@ def test_uri_is_svg_and_the_same_each_time(summary):
 
 
 def test_many_points_stay_small():
-    episodes = prepare(make_episodes(850, ["learned_myopic", "pouct"], ["small"], [1, 2]))
+    episodes = checked_episodes(make_episodes(850, ["learned_myopic", "pouct"], ["small"], [1, 2]))
     assert len(data_uri(figures.scatter(episodes, summarise(episodes), "pouct", BASELINES))) < 400_000
 
 
 def test_looks():
     looks = planner_looks(["pouct", "my.A", "my.B", "known"])
     assert len(set(looks.values())) == 4
-    assert short_name("my_lab.planners.Mine") == "Mine"
+    assert planner_label("my_lab.planners.Mine") == "Mine"
 
 
 @pytest.mark.parametrize(

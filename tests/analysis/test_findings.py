@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import find, main_planner, mixture_warnings
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import summarise
@@ -10,7 +10,7 @@ from tests.analysis.synthetic import fail, make_episodes, rows
 
 
 def findings_of(frame: pd.DataFrame, planner: str | None = "pouct"):
-    found = find(summarise(prepare(frame)), load_published(), planner)
+    found = find(summarise(checked_episodes(frame)), load_published(), planner)
     clean = [text.replace("\N{NO-BREAK SPACE}", " ") for text in (found.headline, *found.sentences, *found.warnings)]
     return found, " ".join(clean)
 

@@ -6,10 +6,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import Markup
 
+from mrtask import files
 from mrtask.analysis import report as library
+from mrtask.analysis import sections
 from mrtask.analysis.facts import beats_frequency, failure_table, homes_facts, run_facts
-from mrtask.analysis.report import render_report, trials_to_draw
+from mrtask.analysis.report import render_report, trials_to_draw, write_report
+from mrtask.analysis.sections import Section
 from mrtask.execution.trace import Leg, Letter, Trace
 from tests.analysis.synthetic import fail, make_episodes, rows
 
@@ -70,7 +74,7 @@ class Page(HTMLParser):
 
 
 def page_of(folder, episodes, manifest=MANIFEST, homes=None) -> Page:
-    path = render_report(episodes, manifest, homes or {}, folder)
+    path = write_report(render_report(episodes, manifest, homes or {}), folder)
     assert path == folder / "index.html"
     page = Page(path.read_text(encoding="utf-8"))
     for _, name, value in page.attributes:
@@ -90,7 +94,7 @@ def small(planners=("nonlearned_myopic", "learned_myopic", "pouct"), size_classe
 @pytest.fixture
 def blank_pictures(monkeypatch):
     """For tests of the text: figures are made but not drawn, which takes most of a report's time."""
-    monkeypatch.setattr(library, "data_uri", lambda figure: "data:image/svg+xml;base64,")
+    monkeypatch.setattr(sections, "data_uri", lambda figure: "data:image/svg+xml;base64,")
 
 
 def test_whole_report(tmp_path, two_room_home):
@@ -115,6 +119,18 @@ def test_whole_report(tmp_path, two_room_home):
     table = pd.read_csv(tmp_path / "table.csv")
     assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+
+
+def test_a_listed_section_is_on_the_page_and_in_the_navigation(tmp_path, monkeypatch, blank_pictures):
+    count = Section(
+        "count", "How many", "Number of <episodes>", lambda data: Markup(f"<p>{len(data.episodes)} ran</p>")
+    )
+    absent = Section("absent", "Nothing", "Nothing to show", lambda data: None)
+    monkeypatch.setattr(library, "SECTIONS", [count, absent, *sections.SECTIONS])
+    page = page_of(tmp_path, small(["pouct"]))
+    assert ("a", "href", "#count") in page.attributes and "count" in page.ids
+    assert "Number of <episodes>4 ran" in page.words.replace("> ", ">") and "Nothing" not in page.words
+    assert page.words.index("4 ran") < page.words.index("All planners, all episodes")
 
 
 CASES = {
@@ -207,16 +223,16 @@ def test_missing_episodes_are_named(tmp_path, blank_pictures):
 def test_refuses_before_it_writes(tmp_path):
     folder = tmp_path / "report"
     with pytest.raises(ValueError, match="unknown episode status"):
-        render_report(small().assign(status="ok"), {}, {}, folder)
+        page_of(folder, small().assign(status="ok"))
     assert not folder.exists()
 
 
 def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch, blank_pictures):
-    render_report(small(["pouct"]), {}, {}, tmp_path)
+    write_report(render_report(small(["pouct"]), {}, {}), tmp_path)
     before = (tmp_path / "index.html").read_bytes()
-    monkeypatch.setattr(library.Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(files.os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
-        render_report(small(["greedy"]), {}, {}, tmp_path)
+        write_report(render_report(small(["greedy"]), {}, {}), tmp_path)
     assert (tmp_path / "index.html").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
 
@@ -224,13 +240,13 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
 def test_same_input_same_bytes(tmp_path):
     frame = small(["learned_myopic", "pouct"])
     for name, rows_ in (("a", frame), ("b", frame.sample(frac=1, random_state=0))):
-        render_report(rows_, MANIFEST | {"unknown": 1}, {}, tmp_path / name)
+        write_report(render_report(rows_, MANIFEST | {"unknown": 1}, {}), tmp_path / name)
     assert (tmp_path / "a/index.html").read_bytes() == (tmp_path / "b/index.html").read_bytes()
     assert (tmp_path / "a/table.csv").read_bytes() == (tmp_path / "b/table.csv").read_bytes()
 
 
 def test_ten_thousand_episodes_stay_small(tmp_path):
-    render_report(make_episodes(560, ["learned_myopic", "pouct"]), {}, {}, tmp_path)
+    write_report(render_report(make_episodes(560, ["learned_myopic", "pouct"]), {}, {}), tmp_path)
     assert (tmp_path / "index.html").stat().st_size < 3_000_000
 
 

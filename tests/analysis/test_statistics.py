@@ -4,16 +4,16 @@ import pytest
 from scipy import stats
 
 from mrtask.analysis import statistics as library
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.statistics import (
     ALL_CLASSES,
     ALL_TEAMS,
     Bootstrap,
     compare,
     improvement_percent,
-    planners_in_order,
     summarise,
 )
+from mrtask.planning.planners import planners_in_order
 from tests.analysis.synthetic import fail, make_episodes, naive_bca, rows
 
 NAN = float("nan")
@@ -51,7 +51,9 @@ def test_improvement_over_nothing_is_undefined():
 @pytest.mark.parametrize(("n", "seed"), [(10, 1), (23, 2), (60, 3)])
 def test_interval_equals_its_naive_twin(n, seed):
     cost, baseline = paired_costs(n, seed)
-    estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=300, seed=seed).estimate(library._improvement)
+    estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=300, seed=seed).estimate(
+        library.improvement_of_means
+    )
     assert (estimate.low, estimate.high) == pytest.approx(naive_bca(cost.tolist(), baseline.tolist(), 300, seed))
 
 
@@ -72,14 +74,14 @@ def test_interval_covers_the_truth_as_often_as_it_says():
     covered = 0
     for seed in range(300):
         cost, baseline = paired_costs(50, seed)
-        estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=500).estimate(library._improvement)
+        estimate = Bootstrap(np.column_stack([cost, baseline]), resamples=500).estimate(library.improvement_of_means)
         covered += estimate.low <= 100 * (1 - 0.7 * np.exp(0.4**2 / 2)) <= estimate.high
     assert 0.90 <= covered / 300 <= 0.98
 
 
 def test_batches_draw_the_same_trials(monkeypatch):
     whole = improvement_percent(*paired_costs(40))
-    monkeypatch.setattr(library, "BATCH_CELLS", 1000)
+    monkeypatch.setattr(library, "MAX_BATCH_CELLS", 1000)
     assert improvement_percent(*paired_costs(40)) == whole
 
 
@@ -109,7 +111,7 @@ def test_gap_by_hand():
     frame = rows(
         "small", 1, {"learned_myopic": [8.0, 12.0], "known": [3.0, 5.0], "pouct": [6.0, 8.0], "greedy": [12.0, 14.0]}
     )
-    gaps = summarise(prepare(frame)).gaps
+    gaps = summarise(checked_episodes(frame)).gaps
     assert gaps[SMALL_ONE, "pouct"].value == pytest.approx(50)
     assert gaps[SMALL_ONE, "greedy"].value == pytest.approx(-50)
     assert (SMALL_ONE, "learned_myopic") not in gaps and (SMALL_ONE, "known") not in gaps
@@ -117,12 +119,12 @@ def test_gap_by_hand():
 
 def test_gap_that_is_none_is_undefined():
     frame = rows("small", 1, {"learned_myopic": [4.0, 4.0], "known": [4.0, 4.0], "pouct": [3.0, 5.0]})
-    assert not summarise(prepare(frame)).gaps[SMALL_ONE, "pouct"].defined
+    assert not summarise(checked_episodes(frame)).gaps[SMALL_ONE, "pouct"].defined
 
 
 def test_failures_are_counted_and_in_no_mean():
     frame = rows("small", 1, {"pouct": [1.0, None, 3.0, 5.0], "learned_myopic": [2.0, 100.0, None, 7.0]})
-    summary = summarise(prepare(frame))
+    summary = summarise(checked_episodes(frame))
     pouct = summary.planner_cells[SMALL_ONE, "pouct"]
     assert pouct.counts == {"accepted": 3, "failed": 1, "error": 0, "timeout": 0}
     assert (pouct.episodes, pouct.accepted, pouct.cost_s, pouct.cost_cells.value) == (4, 3, 3.0, 60.0)
@@ -134,7 +136,7 @@ def test_failures_are_counted_and_in_no_mean():
 def test_summary_against_a_naive_twin():
     frame = make_episodes(15, size_classes=["small", "medium"], robots=[1, 3])
     frame = fail(frame, frame.index.to_series() % 11 == 3)
-    summary = summarise(prepare(frame))
+    summary = summarise(checked_episodes(frame))
     cost = {(row.trial_id, row.planner): row.cost_s for row in frame.itertuples() if row.status == "accepted"}
     trials = {row.trial_id: (row.size_class, row.robots) for row in frame.itertuples()}
     for cell in [*summary.cells, ("medium", ALL_TEAMS), (ALL_CLASSES, ALL_TEAMS)]:
@@ -150,7 +152,7 @@ def test_summary_against_a_naive_twin():
 def test_shared_draws_change_nothing():
     """An estimate does not depend on the other planners of its cell."""
     frame = fail(make_episodes(20, size_classes=["small"], robots=[1]), pd.Series([True] + [False] * 119))
-    whole = summarise(prepare(frame))
+    whole = summarise(checked_episodes(frame))
     cost = frame.pivot(index="trial_id", columns="planner", values="cost_s")[["pouct", "learned_myopic"]].dropna()
     alone = improvement_percent(cost["pouct"].to_numpy(), cost["learned_myopic"].to_numpy())
     shared = whole.comparisons[SMALL_ONE, "pouct", "learned_myopic"].improvement
@@ -159,22 +161,24 @@ def test_shared_draws_change_nothing():
 
 def test_order_of_rows_does_not_matter():
     frame = make_episodes(6, size_classes=["small"], robots=[1, 2])
-    assert repr(summarise(prepare(frame.sample(frac=1, random_state=1)))) == repr(summarise(prepare(frame)))
+    assert repr(summarise(checked_episodes(frame.sample(frac=1, random_state=1)))) == repr(
+        summarise(checked_episodes(frame))
+    )
 
 
 def test_cells_that_were_not_run_are_absent():
     frame = pd.concat([make_episodes(2, ("pouct",), ("large",), (3,)), make_episodes(2, ("pouct",), ("small",), (1,))])
-    assert summarise(prepare(frame)).cells == [("small", 1), ("large", 3)]
+    assert summarise(checked_episodes(frame)).cells == [("small", 1), ("large", 3)]
 
 
 def test_no_episodes():
-    summary = summarise(prepare(make_episodes(1).head(0)))
+    summary = summarise(checked_episodes(make_episodes(1).head(0)))
     assert summary.planners == () and summary.cells == [] and summary.planner_cells == {}
 
 
 def test_planning_time_per_decision():
     frame = rows("small", 1, {"pouct": [1.0, 2.0, 3.0]}).assign(planning_s=[1.0, 5.0, None], decisions=[1, 2, 3])
-    assert summarise(prepare(frame)).planner_cells[SMALL_ONE, "pouct"].decision_s == 2.0
+    assert summarise(checked_episodes(frame)).planner_cells[SMALL_ONE, "pouct"].decision_s == 2.0
 
 
 def test_planner_order():

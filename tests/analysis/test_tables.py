@@ -4,19 +4,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.episodes import prepare
+from mrtask.analysis.columns import Table
+from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.published import load_published
+from mrtask.analysis.result_table import planner_table, result_table
 from mrtask.analysis.statistics import summarise
 from mrtask.analysis.tables import (
     ABOVE,
     BELOW,
     LEVEL,
-    Table,
     pair_table,
     paper_table,
-    planner_table,
     real_world_table,
-    result_table,
     variant_table,
 )
 from tests.analysis.synthetic import fail, make_episodes, rows
@@ -33,7 +32,7 @@ def entries(table: Table, label: str, after: str = "") -> list[list[str]]:
 
 
 def summary_of(frame: pd.DataFrame):
-    return summarise(prepare(frame))
+    return summarise(checked_episodes(frame))
 
 
 def test_csv_by_hand():
@@ -98,7 +97,7 @@ def test_planner_table_counts_what_was_lost():
     frame = make_episodes(5, ["learned_myopic", "pouct"], ["small"], [1])
     is_pouct = frame["planner"] == "pouct"
     frame = fail(fail(frame, is_pouct & (frame["trial_id"] < "small-1-002")), is_pouct & (frame.index == 9), "timeout")
-    table = planner_table(summary_of(frame))
+    table = planner_table(summary_of(frame), PUBLISHED)
     assert entries(table, "pouct")[:2] == [["5"], ["3", "2 failed", "1 timeout"]]
     assert entries(table, "learned_myopic")[:2] == [["5"], ["0"]]
 

@@ -1,0 +1,85 @@
+"""What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import pandas as pd
+
+from mrtask.analysis.episodes import Variant, checked_episodes, variants_in_order
+from mrtask.analysis.facts import Manifest, ModelFacts, missing_episodes, model_facts
+from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
+from mrtask.analysis.published import Published, load_published
+from mrtask.analysis.statistics import Summary, summarise
+from mrtask.homes.home import Home
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """A run; of a sweep, all its variants, of which the last is shown in full."""
+
+    episodes: pd.DataFrame
+    """The checked episodes of all variants; see `mrtask.analysis.episodes.checked_episodes`."""
+    manifest: Manifest
+    homes: Mapping[str, Home]
+    """Home id -> home, of those to be drawn."""
+    summaries: Mapping[Variant, Summary]
+    """By variant, in order; one, named by the empty text, without a sweep."""
+    published: Published
+
+    @property
+    def shown(self) -> Variant:
+        """The variant that is shown in full."""
+        return list(self.summaries)[-1]
+
+    @property
+    def summary(self) -> Summary:
+        """The statistics of the variant shown."""
+        return self.summaries[self.shown]
+
+    @cached_property
+    def rows(self) -> pd.DataFrame:
+        """The episodes of the variant shown."""
+        return rows_of(self.episodes, self.shown)
+
+    @property
+    def planner(self) -> str | None:
+        """The planner that the report is about; None without episodes."""
+        return main_planner(self.summary.planners, self.manifest.get("main_planner"))
+
+    @cached_property
+    def findings(self) -> Findings:
+        """The answer for the variant shown."""
+        return find(self.summary, self.published, self.planner)
+
+    @cached_property
+    def model(self) -> ModelFacts:
+        """The likelihood model that the planners used."""
+        return model_facts(self.manifest, self.episodes)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Everything that a reader should know before trusting the answer."""
+        of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
+        return [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+
+
+def collect_report_data(episodes: pd.DataFrame, manifest: Manifest, homes: Mapping[str, Home]) -> ReportData:
+    """Checks the episodes and computes their statistics.
+
+    Raises:
+        ValueError: the episodes are not what `checked_episodes` demands.
+    """
+    checked = checked_episodes(episodes)
+    summaries = {variant: summarise(rows_of(checked, variant)) for variant in variants_of(checked)}
+    return ReportData(checked, manifest, homes, summaries, load_published())
+
+
+def variants_of(episodes: pd.DataFrame) -> list[Variant]:
+    """The variants of checked episodes in order; the one unnamed variant where there are no episodes."""
+    return variants_in_order(episodes) or [""]
+
+
+def rows_of(episodes: pd.DataFrame, variant: Variant) -> pd.DataFrame:
+    """The checked episodes of one variant."""
+    return episodes[episodes["variant"] == variant]
