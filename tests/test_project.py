@@ -65,7 +65,7 @@ def test_layers_and_tools_are_where_they_belong() -> None:
         ("mrtask/homes: import mrtask.planning", "the library's layers"),
         ("mrtask/maps: import mlflow", "the library knows nothing"),
         ("pipeline: import ray", "only pipeline.backends.pool knows ray"),
-        ("pipeline: import mlflow", "only pipeline.backends.tracking"),
+        ("pipeline: import mlflow", "only pipeline.backends' tracking"),
     ],
 )
 def test_a_forbidden_import_is_noticed(statement: str, broken: str, tmp_path: Path) -> None:
@@ -82,6 +82,14 @@ def test_a_forbidden_import_is_noticed(statement: str, broken: str, tmp_path: Pa
     )
     assert done.returncode == 1
     assert [line for line in done.stdout.splitlines() if line.startswith(broken) and "BROKEN" in line]
+
+
+def test_every_kernel_is_where_the_compilers_cache_looks_for_edits() -> None:
+    import pipeline
+
+    compiled = {path for path in (ROOT / "mrtask").rglob("*.py") if "numba" in path.read_text()}
+    folders = {"/".join(path.relative_to(ROOT).parts[:2]) for path in compiled}
+    assert folders == set(pipeline.KERNEL_SOURCES)
 
 
 def test_the_data_folder_is_no_package_and_disturbs_no_library() -> None:
