@@ -206,6 +206,7 @@ class Evaluation(_Section):
     trials_per_cell: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
+    formula_file: LocalPath | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -293,12 +294,26 @@ def load(composed: DictConfig) -> Config:
         plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
+    _read_formula(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
         raise UserError("\n".join(_explain(item) for item in error.errors())) from error
     _check_planners(config)
     return config
+
+
+def _read_formula(plain: Any) -> None:
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``."""
+    options = plain["evaluation"]
+    if (path := options.get("formula_file")) is None:
+        return
+    if options["formula"] is not None:
+        raise UserError("evaluation.formula_file: give it or evaluation.formula, not both")
+    try:
+        options["formula"] = " ".join(_absolute(Path(str(path))).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
 
 
 def _check_planners(config: Config) -> None:
