@@ -34,9 +34,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, required=True)
     options = parser.parse_args()
     first = options.seed * 2 * SEEDS_APART
-    homes = [
-        generate_home(first + number, size) for size in SIZE_CLASSES for number in range(HOMES_PER_CLASS)
-    ]
+    homes = [generate_home(first + number, size) for size in SIZE_CLASSES for number in range(HOMES_PER_CLASS)]
     maps = {home.id: cached_map(home, None) for home in homes}
     trials = []
     for size in SIZE_CLASSES:
@@ -48,9 +46,7 @@ def main() -> None:
             ]
     seen = {home.id for home in homes}
     learned = [generate_home(first + SEEDS_APART + number) for number in range(TRAINING_HOMES)]
-    model = fit_on_homes(
-        [home for home in learned if home.id not in seen], options=TrainingOptions(kind="similarity")
-    )
+    model = fit_on_homes([home for home in learned if home.id not in seen], options=TrainingOptions(kind="similarity"))
     path = FOLDER / f"{options.name}.json.gz"
     print(f'"{options.name}": "{write_suite(path, options.name, homes, trials, build_table(model, homes))}"')
     print(f"{path}: {path.stat().st_size} bytes, {len(homes)} homes, {len(trials)} trials")

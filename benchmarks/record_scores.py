@@ -1,6 +1,6 @@
 """Records our planners' episodes on a suite; to be run when a planner, the simulation or the maps have changed.
 
-    python benchmarks/record_scores.py [mrtask-1]
+python benchmarks/record_scores.py [mrtask-1]
 """
 
 import os
@@ -24,7 +24,8 @@ def main() -> None:
     for name, options in recorded.PLANNERS.items():
         episodes = score_planner(Request(name, options, suite, os.cpu_count() or 1))
         columns[name] = episodes.set_index("trial_id")["cost_s"]
-        print(f"{name}: {episodes['status'].value_counts().to_dict()}, {episodes['planning_s'].sum():.1f} s of planning")
+        spent_s = episodes["planning_s"].sum()
+        print(f"{name}: {episodes['status'].value_counts().to_dict()}, {spent_s:.1f} s of planning", flush=True)
     path = FOLDER / recorded.file_name(suite)
     code = hash_folders("mrtask/planning", "mrtask/execution", "mrtask/maps")
     path.write_text(recorded.recorded_text(pd.DataFrame(columns), f"code {code}"), encoding="utf-8")

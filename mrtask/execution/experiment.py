@@ -84,9 +84,7 @@ def run_experiment(
     total = trials_per_cell * len(cells) * len(chosen)
     for number in range(trials_per_cell):
         for cell in cells:
-            trial = sample_trial(
-                *cell, number, orders[cell], lambda home: map_of(home.id), seed=seed, options=options
-            )
+            trial = sample_trial(*cell, number, orders[cell], lambda home: map_of(home.id), seed=seed, options=options)
             home = known[trial.home_id]
             probs = table.matrix(home, trial.objects)
             for result in _episodes(trial, home, map_of(home.id), probs, chosen):

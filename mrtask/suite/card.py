@@ -55,7 +55,8 @@ def render_card(
             f"{_improvement(part, planner, 'learned_myopic')}"
         )
     if (unfinished := int(costs[planner].isna().sum())) > 0:
-        lines += ["", f"{unfinished} trials were not finished: means and improvements leave them out, the profile does not."]
+        note = "trials were not finished: means and improvements leave them out, the profile does not"
+        lines += ["", f"{unfinished} {note}"]
     return "\n".join(lines)
 
 
@@ -94,6 +95,4 @@ def _profiles(costs: pd.DataFrame) -> dict[str, list[float]]:
     best = costs[fair].min(axis=1)
     ratios = costs[fair].div(best.where(best > 0), axis=0).where(best > 0, costs[fair].add(1.0))
     ratios = ratios.fillna(np.inf)
-    return {
-        name: [float((ratios[name] <= factor * SAME_COST).mean()) for factor in PROFILE_FACTORS] for name in fair
-    }
+    return {name: [float((ratios[name] <= factor * SAME_COST).mean()) for factor in PROFILE_FACTORS] for name in fair}

@@ -146,9 +146,7 @@ def _episode(request: Request, number: int) -> dict[str, Any]:
         "planner": request.planner,
     }
     try:
-        result = run_episode(
-            trial, suite.homes[trial.home_id], home_map, likelihood, request.planner, request.options
-        )
+        result = run_episode(trial, suite.homes[trial.home_id], home_map, likelihood, request.planner, request.options)
     except Exception as error:  # a planner's bug is its score
         print(f"{trial.trial_id}: {type(error).__name__}: {error}", file=sys.stderr)
         return row | {"status": "error", "cost_s": None, "decisions": 0, "planning_s": float("nan")}

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from mrtask.sources import ROOT, hash_folders
 
-
 STAGES = Path(__file__).parents[1].relative_to(ROOT).as_posix()
 """The folder of the stages: ``pipeline`` in a checkout, ``mrtask/pipeline`` where a wheel was installed."""
 

@@ -64,7 +64,7 @@ def test_no_formula_and_other_keys_are_left_alone() -> None:
 
 def test_a_formula_comes_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "task.ltl"
-    path.write_text(f"{FORMULA.replace(' & ', ' &{0}  '.format(chr(10)))}\n")
+    path.write_text(FORMULA.replace(" & ", " &\n  ") + "\n")
     assert make(f"evaluation.formula_file={path}").evaluation.formula == FORMULA
     with pytest.raises(UserError, match="not both"):
         make(f"evaluation.formula_file={path}", "evaluation.formula=F Mug")
