@@ -62,3 +62,7 @@ def _run(module: str) -> None:
 def _fail(message: str) -> int:
     print(f"error: {message}", file=sys.stderr)
     return USER_ERROR_EXIT
+
+
+if __name__ == "__main__":
+    main()

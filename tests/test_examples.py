@@ -105,7 +105,7 @@ def test_own_homes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_ros_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     example("ros_map").main(tmp_path)
     said = capsys.readouterr().out
-    assert "27 m2, 6 containers, 10 worlds" in said
+    assert "28 m2, 6 containers, 10 worlds" in said
     assert "greedy" in said
 
 

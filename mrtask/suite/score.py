@@ -2,6 +2,7 @@
 
     mrtask score my_lab.Cautious
     mrtask score my_lab.Cautious options='{margin_s: 2}' suite=mrtask-1 workers=8 out=card/
+    mrtask score my_lab.Cautious trials_per_cell=2            # a quick look, no score
 
 The planner is given by its import path or a name of ours (pouct, greedy, ...), its options as YAML. The scores are the
 same on any number of workers and on any machine; only planning times differ. ``out=`` keeps card.txt and episodes.csv.
@@ -11,6 +12,7 @@ import multiprocessing
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -31,6 +33,7 @@ from mrtask.suite.frozen import DEFAULT_SUITE, Suite, load_suite
 from mrtask.suite.recorded import recorded_episodes
 
 COLUMNS = ("trial_id", "size_class", "robots", "template", "planner", "status", "cost_s", "decisions", "planning_s")
+KEYS = ("options", "suite", "workers", "trials_per_cell", "out")
 EPISODES_FILE, CARD_FILE = "episodes.csv", "card.txt"
 USER_ERROR_EXIT = 2
 
@@ -43,6 +46,8 @@ class Request:
     options: Mapping[str, Any] = field(default_factory=dict)
     suite: str = DEFAULT_SUITE
     workers: int = 1
+    trials_per_cell: int | None = None
+    """Only so many trials of each size class and team: a look, no score."""
     out: Path | None = None
 
     @staticmethod
@@ -52,16 +57,35 @@ class Request:
         if len(given) != 1:
             raise InputError(f"one planner is to be scored, given were {', '.join(given) or 'none'}\n{__doc__}")
         values = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
-        if unknown := sorted(values.keys() - {"options", "suite", "workers", "out"}):
-            raise InputError(f"{unknown[0]}: no such key; allowed: options, suite, workers, out")
-        workers = values.get("workers", str(os.cpu_count() or 1))
-        if not workers.isdecimal() or int(workers) < 1:
-            raise InputError(f"workers={workers}: must be a whole number, at least 1")
+        if unknown := sorted(values.keys() - set(KEYS)):
+            raise InputError(f"{unknown[0]}: no such key; allowed: {', '.join(KEYS)}")
+        counts = {name: values[name] for name in ("workers", "trials_per_cell") if name in values}
+        for name, value in counts.items():
+            if not value.isdecimal() or int(value) < 1:
+                raise InputError(f"{name}={value}: must be a whole number, at least 1")
         options = yaml.safe_load(values.get("options", "{}"))
         if not isinstance(options, dict):
             raise InputError(f"options={values['options']}: must be names and values, as options='{{samples: 1000}}'")
         out = Path(values["out"]) if "out" in values else None
-        return Request(given[0], options, values.get("suite", DEFAULT_SUITE), int(workers), out)
+        return Request(
+            planner=given[0],
+            options=options,
+            suite=values.get("suite", DEFAULT_SUITE),
+            workers=int(counts.get("workers", os.cpu_count() or 1)),
+            trials_per_cell=int(counts["trials_per_cell"]) if "trials_per_cell" in counts else None,
+            out=out,
+        )
+
+    def trial_numbers(self) -> list[int]:
+        """The places of the trials in the suite."""
+        trials, taken = load_suite(self.suite).trials, Counter[tuple[str, int]]()
+        numbers = []
+        for number, trial in enumerate(trials):
+            cell = (trial.size_class, trial.team.robots)
+            taken[cell] += 1
+            if self.trials_per_cell is None or taken[cell] <= self.trials_per_cell:
+                numbers.append(number)
+        return numbers
 
 
 def score_planner(request: Request, on_episode: Callable[[], None] | None = None) -> pd.DataFrame:
@@ -72,7 +96,7 @@ def score_planner(request: Request, on_episode: Callable[[], None] | None = None
     """
     suite = load_suite(request.suite)
     make_planner(request.planner, request.options)  # refuses what is wrong before any work
-    numbers = range(len(suite.trials))
+    numbers = request.trial_numbers()
     rows: dict[int, dict[str, Any]] = {}
     first = suite.trials[0]
     # Compiled once here, so that the workers find the kernels in numba's cache.
@@ -104,9 +128,13 @@ def main(arguments: list[str]) -> int:
         request = Request.parse(arguments)
         suite = load_suite(request.suite)
         began_s = time.monotonic()
-        with tqdm(total=len(suite.trials), desc=f"{request.planner} on {suite.name}", unit="trial") as bar:
+        with tqdm(total=len(request.trial_numbers()), desc=f"{request.planner} on {suite.name}", unit="trial") as bar:
             episodes = score_planner(request, bar.update)
-        card = render_card(request.planner, request.options, episodes, recorded_episodes(suite), suite.name)
+        recorded = recorded_episodes(suite)
+        recorded = recorded[recorded["trial_id"].isin(episodes["trial_id"])]
+        card = render_card(request.planner, request.options, episodes, recorded, suite.name)
+        if len(episodes) < len(suite.trials):
+            card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: no score to quote."
     except (InputError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return USER_ERROR_EXIT

@@ -59,11 +59,13 @@ def test_a_suite_is_whole(name: str) -> None:
 
 def test_the_card_is_the_same_on_any_number_of_workers() -> None:
     suite, recorded = load_suite(), recorded_episodes(load_suite())
-    one, two = (score_planner(Request("nonlearned_myopic", workers=workers)) for workers in (1, 2))
+    one, two = (score_planner(Request("nonlearned_myopic", workers=workers, trials_per_cell=3)) for workers in (1, 2))
+    assert len(one) == 27
+    recorded = recorded[recorded["trial_id"].isin(one["trial_id"])]
     assert one["cost_s"].tolist() == two["cost_s"].tolist()
     cards = [render_card("nonlearned_myopic", {}, rows, recorded, suite.name) for rows in (one, two)]
     assert cards[0] == cards[1]
-    assert "180 trials" in cards[0] and "not finished" not in cards[0]
+    assert "27 trials" in cards[0] and "not finished" not in cards[0]
     # And it is the recorded one, to the last bit.
     known = recorded[recorded["planner"] == "nonlearned_myopic"].set_index("trial_id")["cost_s"]
     assert known[one["trial_id"]].tolist() == one["cost_s"].tolist()
@@ -145,7 +147,7 @@ def test_what_is_wrong_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         load_suite("mrtask-2")
     for given, said in (
         ([], "one planner is to be scored, given were none"),
-        (["pouct", "speed=3"], "speed: no such key; allowed: options, suite, workers, out"),
+        (["pouct", "speed=3"], "speed: no such key; allowed: options, suite, workers, trials_per_cell, out"),
         (["pouct", "workers=0"], "workers=0: must be a whole number, at least 1"),
         (["pouct", "options=[1]"], r"options=\[1\]: must be names and values"),
     ):
@@ -156,3 +158,4 @@ def test_what_is_wrong_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert Request.parse(["pouct", "options={samples: 5}", "workers=3"]) == Request(
         "pouct", {"samples": 5}, "mrtask-1", 3
     )
+    assert len(Request("pouct", trials_per_cell=2).trial_numbers()) == 18
