@@ -4,8 +4,8 @@
 
 pomdp-py (Zheng and Tellex 2020) searches the problem as its user would write it down: a state is the robot's place, the
 task's state, what was searched and what lies where; an action is a container; an observation is what a search shows.
-Its root belief is drawn from ours, conditioned on every object existing, so both know the same. Rollouts are random over
-containers that can still help. Ours runs with a time limit instead of a number of samples.
+Its root belief is drawn from ours, conditioned on every object existing, so both know the same. Rollouts are random,
+over containers that can still help. Ours runs with a time limit instead of a number of samples.
 """
 
 import argparse
@@ -128,6 +128,8 @@ class Domain:
 
 
 class Transition(pomdp_py.TransitionModel):
+    """What an action leads to."""
+
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
 
@@ -136,11 +138,15 @@ class Transition(pomdp_py.TransitionModel):
 
 
 class Observing(pomdp_py.ObservationModel):
+    """What is seen there."""
+
     def sample(self, next_state: Where, action: GoTo) -> Seen:
         return Seen(next_state.holds[action.container])
 
 
 class Reward(pomdp_py.RewardModel):
+    """Minus the seconds that an action takes."""
+
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
 
@@ -151,6 +157,8 @@ class Reward(pomdp_py.RewardModel):
 
 
 class Choices(pomdp_py.RolloutPolicy):
+    """Which actions there are, and a random one."""
+
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
 
