@@ -87,7 +87,7 @@ def finish(
     _check_identity(folder, plan.identity)
     writer = EpisodeWriter(folder / EPISODES, options.rerun)
     missing = plan.missing(writer.finished())
-    if not missing and folder.read(MANIFEST) is not None:
+    if not missing and EvaluationManifest.find(folder, MANIFEST) is not None:
         writer.close()
         console.skipped(folder / EPISODES)
         return

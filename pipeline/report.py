@@ -110,7 +110,7 @@ def collect(folder: Folder) -> Collected:
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     [(_, manifest)] = of_run
-    return Collected(of_run, _episodes(folder, manifest), manifest.facts(StageTimes.read(folder, STAGES)))
+    return Collected(of_run, _episodes(folder, manifest), manifest.facts(StageTimes.find(folder, STAGES)))
 
 
 def _finished(folders: list[Folder]) -> tuple[tuple[Folder, EvaluationManifest], ...]:

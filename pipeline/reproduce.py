@@ -44,7 +44,7 @@ def run(config: Config, session: Session) -> None:
         timed("evaluate", lambda: evaluate.evaluate(config, session, home_set, store, model))
         if config.dry_run:
             return
-        if folder.read(STAGES) is None:
+        if StageTimes.find(folder, STAGES) is None:
             StageTimes(seconds=seconds).write(folder, STAGES)
         target = report.report(folder, config.tracking)
     total = console.duration(time.monotonic() - started_s)

@@ -17,6 +17,10 @@ JsonObject = Mapping[str, JsonValue]
 """A part of the configuration, kept as it was."""
 
 
+class RecordError(UserError):
+    """A file that is damaged or of another version."""
+
+
 class Record(BaseModel):
     """The content of one JSON file. A subclass names its ``version`` and raises it when the meaning changes."""
 
@@ -36,20 +40,28 @@ class Record(BaseModel):
         """The record in a file's content.
 
         Raises:
-            UserError: the content is damaged or of another version; names ``path`` and says what to do.
+            RecordError: the content is damaged or of another version; names ``path`` and says what to do.
         """
         try:
             return cls.model_validate_json(content)
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"])) or "the file"
-            raise UserError(f"{path} cannot be read ({where}: {first['msg']}); {cls.ADVICE}") from error
+            raise RecordError(f"{path} cannot be read ({where}: {first['msg']}); {cls.ADVICE}") from error
 
     @classmethod
     def read(cls, folder: Folder, name: str) -> Self | None:
         """The record in a file of a folder, None where there is no such file; raises as `from_json`."""
         content = folder.read(name)
         return None if content is None else cls.from_json(content, str(folder / name))
+
+    @classmethod
+    def find(cls, folder: Folder, name: str) -> Self | None:
+        """The record in a file of a folder; None where there is none that this version can read, so that it is made."""
+        try:
+            return cls.read(folder, name)
+        except RecordError:
+            return None
 
     def write(self, folder: Folder, name: str) -> None:
         """Writes the record as a file of a folder."""
@@ -243,8 +255,6 @@ class EvaluationManifest(Record):
 
 class StageTimes(Record):
     """How long the stages of a whole experiment took."""
-
-    ADVICE = "remove it, and the report goes without"
 
     seconds: Mapping[str, float]
 

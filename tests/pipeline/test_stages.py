@@ -135,6 +135,21 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
     assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
 
 
+def test_a_manifest_of_another_version_is_written_anew(workspace: Workspace, cli: Cli, copied_output: Path) -> None:
+    rows = pd.read_parquet(copied_output / "episodes")
+    for name in ("evaluation.json", "stages.json"):
+        (copied_output / name).write_text('{"version": 0}')
+    common = [*workspace.overrides, f"output_dir={copied_output}"]
+    refused = cli("report", *common, cwd=workspace.path)
+    assert refused.code == 2
+    assert "evaluation.json cannot be read" in refused.err
+    assert "run python -m pipeline.evaluate with the same output_dir again" in refused.err
+    assert cli("evaluate", *common, cwd=workspace.path).code == 0
+    assert evaluation_manifest(copied_output).expected_episodes == len(rows)
+    pd.testing.assert_frame_equal(pd.read_parquet(copied_output / "episodes"), rows)
+    assert cli("report", *common, cwd=workspace.path).code == 0
+
+
 def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     houses = [generate_house(seed, "small") for seed in range(3)]
     write_houses(workspace.path / "others.jsonl.gz", [{"name": "no house"}, *houses])

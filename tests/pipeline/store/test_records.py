@@ -71,6 +71,7 @@ def test_files_of_another_version_or_with_other_keys_are_refused_with_what_to_do
         folder.write("run.json", json.dumps(content | change).encode())
         with pytest.raises(UserError, match=r"run\.json cannot be read \(.*overwrite=true to start anew there"):
             RunIdentity.read(folder, "run.json")
+        assert RunIdentity.find(folder, "run.json") is None
     folder.write("run.json", b"{")
     with pytest.raises(UserError, match=r"run\.json cannot be read \(the file: "):
         RunIdentity.read(folder, "run.json")
