@@ -13,6 +13,7 @@ import pytest
 from mrtask import InputError, fit_on_homes, generate_homes, run_experiment
 from mrtask.homes.generator.house import generate_house, write_houses
 
+pytestmark = pytest.mark.usefixtures("homes_made_once")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 

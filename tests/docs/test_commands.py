@@ -92,6 +92,7 @@ def test_every_block_says_what_it_is() -> None:
     assert len([block for block in BLOCKS if block.language in ("bash", "python")]) > 20
 
 
+@pytest.mark.usefixtures("homes_made_once")
 @pytest.mark.parametrize("block", of("python"))
 def test_programs_run(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
