@@ -18,6 +18,9 @@ from mrtask.tasks.automaton import build_automaton
 CELL_M = 0.05
 """The paper's grid cell, in which its table counts cost."""
 MAX_DECISIONS = 1000
+IDLE_DECISIONS_PER_ROBOT = 10
+"""An episode fails with so many decisions in a row between which nothing was learned or done: its planner goes round in
+circles. A team needs no more than one or two each, for robots that take up a place early."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ def run_episode(
     """
     planner = make_planner(planner_name, planner_options)
     simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
-    decisions, samples, planning_s, error = 0, 0, 0.0, None
+    decisions, idle_decisions, samples, planning_s, error = 0, 0, 0, 0.0, None
+    max_idle_decisions = IDLE_DECISIONS_PER_ROBOT * trial.team.robots
     while not simulation.accepted:
         if decisions == max_decisions:
             error = f"decision limit of {max_decisions} reached"
@@ -74,6 +78,10 @@ def run_episode(
                 if missing and simulation.searched[home_map.reachable].all()
                 else "every robot waits and none is under way"
             )
+            break
+        idle_decisions = 0 if simulation.news else idle_decisions + 1
+        if idle_decisions == max_idle_decisions:
+            error = f"no progress for {idle_decisions} decisions: {planner_name} neither searches nor interacts"
             break
     cost_s = simulation.time_s if error is None else None
     return EpisodeResult(
