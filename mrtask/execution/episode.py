@@ -25,7 +25,7 @@ circles. A team needs no more than one or two each, for robots that take up a pl
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What an episode came to. Cost is the makespan; ``error`` says why a failed one failed."""
+    """What an episode came to. What it costs is the trial's to say; ``error`` says why a failed one failed."""
 
     planner: str
     status: str
@@ -83,7 +83,8 @@ def run_episode(
         if idle_decisions == max_idle_decisions:
             error = f"no progress for {idle_decisions} decisions: {planner_name} neither searches nor interacts"
             break
-    cost_s = simulation.time_s if error is None else None
+    trace = simulation.trace()
+    cost_s = _cost_s(trial, simulation.time_s, trace) if error is None else None
     return EpisodeResult(
         planner=planner_name,
         status="accepted" if error is None else "failed",
@@ -93,7 +94,7 @@ def run_episode(
         planning_s=planning_s,
         samples=samples,
         error=error,
-        trace=simulation.trace(),
+        trace=trace,
     )
 
 
@@ -116,5 +117,19 @@ def _simulation(
     automaton = build_automaton(trial.formula, trial.objects)
     truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
     return Simulation(
-        home, home_map, automaton, likelihood, truth, team=trial.team, start_cell=trial.start_cell, known=known
+        home,
+        home_map,
+        automaton,
+        likelihood,
+        truth,
+        team=trial.team,
+        start_cell=trial.start_cell,
+        known=known,
+        known_containers=trial.known,
     )
+
+
+def _cost_s(trial: Trial, makespan_s: float, trace: Trace) -> float:
+    if trial.cost == "makespan":
+        return makespan_s
+    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == "move") for legs in trace.robots)

@@ -5,7 +5,7 @@ interacts if its assignment and the task allow it, and is free. All events of on
 is asked for a decision; interactions that end at the same instant spell letters in the order that serves the task.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -45,6 +45,7 @@ class Simulation:
         truth: [C, O] which container holds which task object.
         likelihood: [C, O] the prior that planners see.
         known: the team knows the truth from the start, and no container needs a search.
+        known_containers: these need no search even so.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class Simulation:
         team: Team,
         start_cell: tuple[int, int],
         known: bool = False,
+        known_containers: Sequence[int] = (),
     ) -> None:
         self.home, self.home_map, self.automaton, self.truth = home, home_map, automaton, truth
         self.spec = team.spec
@@ -65,6 +67,7 @@ class Simulation:
         self.time_s = 0.0
         self.state = automaton.initial
         self.searched = home_map.reachable.copy() if known else np.zeros(len(home.containers), dtype=bool)
+        self.searched[list(known_containers)] = True
         self.presence_prob = np.where(self.searched[:, None], truth.astype(float), likelihood)
         self.presence_prob[~home_map.reachable] = 0.0
         self._travel_s = home_map.travel_m / team.spec.speed_m_per_s
