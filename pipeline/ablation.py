@@ -27,7 +27,8 @@ from pipeline.store.rows import TRACE, read_episodes, read_traces
 
 PAPER, AUTHORS = "paper", "authors"
 RUNS, PAGE = "runs", "report/index.html"
-NOT_OF_TRIALS = {"planner", "planner_variants", "ablation"}
+OF_TRIALS = {"seed", "map", "homes", "evaluation"}
+"""The parts of the configuration that decide which trials there are; planners' options are the rest of an arm."""
 
 
 @dataclass(frozen=True)
@@ -49,26 +50,30 @@ class SharedRun:
     arms: list[tuple[Protocol, Mapping[str, str]]] = field(default_factory=list)
     """Each arm with the variant's name of every planner."""
 
+    @property
+    def trials_key(self) -> str:
+        """What decides the trials."""
+        return content_hash(self.config.model_dump(mode="json", include=OF_TRIALS))
+
     def add(self, arm: Protocol, config: Config) -> None:
         """Takes in an arm; a planner whose options an earlier arm has shares that one's rows."""
         names = {}
         for planner in COMPARED:
             variant = PlannerVariant(planner=planner, options=config.planner_options(planner))
             known = next((name for name, other in self.variants.items() if other == variant), None)
-            names[planner] = known or f"{planner}@{arm.name}"
+            names[planner] = known or f"{planner}:{_slug(arm.name)}"
             self.variants[names[planner]] = variant
         self.arms.append((arm, names))
 
     def configured(self) -> Config:
         """The evaluation's configuration."""
         evaluation = self.config.evaluation.model_copy(update={"planners": tuple(self.variants)})
-        first = re.sub(r"[^A-Za-z0-9]+", "-", self.arms[0][0].name)
-        key = content_hash([self.config.model_dump(mode="json"), {n: v.model_dump() for n, v in self.variants.items()}])
+        key = content_hash([self.trials_key, {name: one.model_dump() for name, one in self.variants.items()}])
         return self.config.model_copy(
             update={
                 "evaluation": evaluation,
                 "planner_variants": self.variants,
-                "output_dir": f"{self.config.output_dir.rstrip('/')}/{RUNS}/{first}-{key}",
+                "output_dir": f"{self.config.output_dir.rstrip('/')}/{RUNS}/{_slug(self.arms[0][0].name)}-{key}",
             }
         )
 
@@ -118,7 +123,7 @@ def lay_out(config: Config) -> list[SharedRun]:
     """
     runs: dict[str, SharedRun] = {}
     arms = protocols(config.ablation)
-    names = [arm.name for arm in arms]
+    names = [_slug(arm.name) for arm in arms]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UserError(f"ablation: two arms are called {', '.join(twice)}; give each a name of its own")
     for arm in arms:
@@ -126,16 +131,21 @@ def lay_out(config: Config) -> list[SharedRun]:
             armed = with_overrides(config, arm.overrides)
         except UserError as error:
             raise UserError(f"ablation, arm {arm.name}: {error}") from error
-        key = content_hash(armed.model_dump(mode="json", exclude=NOT_OF_TRIALS))
-        runs.setdefault(key, SharedRun(armed)).add(arm, armed)
+        shared = SharedRun(armed)
+        runs.setdefault(shared.trials_key, shared).add(arm, armed)
     return list(runs.values())
+
+
+def _slug(name: str) -> str:
+    """An arm's name as part of a folder's and of a planner variant's, which is also a metric's."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
 
 
 def _arm_rows(shared: SharedRun, config: Config) -> Iterator[ArmRows]:
     folder = Folder(config.output_dir) / EPISODES
     rows = read_episodes(folder)
     traces = read_traces(folder, set(rows["trial_id"]))
-    traces[WAITS] = [waiting_shares(text) if text else None for text in traces.pop(TRACE)]
+    traces[WAITS] = traces.pop(TRACE).map(waiting_shares, na_action="ignore").astype(object)
     rows = rows.merge(traces, on=["trial_id", "planner"], how="left")
     for arm, names in shared.arms:
         own: Mapping[str, Any] = {name: planner for planner, name in names.items()}

@@ -27,7 +27,6 @@ from mrtask.analysis.statistics import (
     Summary,
     cell_name,
     improvement_percent,
-    paired_costs,
     summarise,
 )
 from mrtask.analysis.style import NOTHING, counted, planner_label
@@ -159,34 +158,35 @@ def verdict_table(arms: Sequence[_Arm], published: Published, planner: str) -> T
 
 
 def step_table(steps: Sequence[_Arm]) -> Table | None:
-    """Mean costs along the steps from the paper's planner to ours, and what each saves against the one before."""
+    """What each step from the paper's planner to ours saves against the one before, and ours against each."""
     if not steps:
         return None
-    last = steps[-1]
-    cells = [*last.summary.cells, EVERYTHING]
-    chain = [(arm.rows.name, _costs(arm.episodes, PAPERS_PLANNER)) for arm in steps]
-    chain.append((OUR_PLANNER, _costs(last.episodes, OUR_PLANNER)))
+    cells = [*steps[-1].summary.cells, EVERYTHING]
+    chain = [(arm.rows.name, arm, PAPERS_PLANNER) for arm in steps]
+    chain.append((OUR_PLANNER, steps[-1], OUR_PLANNER))
+
+    def row(name: str, after: tuple[str, _Arm, str], before: tuple[str, _Arm, str]) -> Row:
+        costs = [(_costs(after[1], after[2], cell), _costs(before[1], before[2], cell)) for cell in cells]
+        return Row(name, tuple(_saved(*pair) for pair in costs))
+
     title = f"Saved against the step before, with 95 % paired intervals ({PAPERS_PLANNER}, last {OUR_PLANNER})"
-    rows = [Row(title, heading=True)]
-    for (_, before), (name, after) in pairwise(chain):
-        rows.append(Row(name, tuple(_saved(after, before, cell) for cell in cells)))
+    rows = [Row(title, heading=True), *(row(after[0], after, before) for before, after in pairwise(chain))]
     rows.append(Row(f"Saved by {OUR_PLANNER} against each step", heading=True))
-    for name, before in chain[:-1]:
-        rows.append(Row(name, tuple(_saved(chain[-1][1], before, cell) for cell in cells)))
+    rows += [row(step[0], chain[-1], step) for step in chain[:-1]]
     return Table((*_cell_headings(cells[:-1]), ("all", "all teams")), tuple(rows))
 
 
 def template_table(arms: Sequence[_Arm]) -> Table | None:
     """The improvement over the informed baseline by template, all cells together."""
-    templates = sorted({name for arm in arms for name in arm.episodes.get("template", pd.Series(dtype=str)).dropna()})
+    templates = sorted({name for arm in arms for name in arm.episodes["template"].dropna()})
     rows: list[Row] = []
     for planner in (PAPERS_PLANNER, OUR_PLANNER):
         rows.append(Row(f"Improvement of {planner} over {INFORMED_BASELINE}", heading=True))
         for arm in arms:
-            cost, baseline = (_costs(arm.episodes, name) for name in (planner, INFORMED_BASELINE))
-            of_template = [set(arm.episodes.loc[arm.episodes["template"] == name, "trial_id"]) for name in templates]
-            entries = (_saved(cost[cost.index.isin(t)], baseline, EVERYTHING) for t in of_template)
-            rows.append(Row(arm.rows.name, tuple(entries)))
+            cost, baseline = (_costs(arm, name) for name in (planner, INFORMED_BASELINE))
+            template_of = arm.episodes.groupby("trial_id")["template"].first()
+            of_template = (cost[template_of.loc[cost.index] == name] for name in templates)
+            rows.append(Row(arm.rows.name, tuple(_saved(part, baseline) for part in of_template)))
     return Table(tuple(("", name) for name in templates), tuple(rows)) if templates else None
 
 
@@ -218,21 +218,21 @@ def _cell_headings(cells: Sequence[Cell]) -> tuple[tuple[str, str], ...]:
     return tuple((name, counted(robots, "robot") if robots != ALL_TEAMS else "all teams") for name, robots in cells)
 
 
-def _costs(episodes: pd.DataFrame, planner: str) -> pd.Series:
-    """A planner's costs in seconds by trial, of those it finished."""
-    costs: pd.Series = paired_costs(episodes[episodes["planner"] == planner])[planner].dropna()
+def _costs(arm: _Arm, planner: str, cell: Cell = EVERYTHING) -> pd.Series:
+    """A planner's costs in seconds by trial, of those of a cell that it finished."""
+    rows = arm.episodes[(arm.episodes["planner"] == planner) & (arm.episodes["status"] == "accepted")]
+    if cell != EVERYTHING:
+        rows = rows[(rows["size_class"] == cell[0]) & (rows["robots"] == cell[1])]
+    costs: pd.Series = rows.set_index("trial_id")["cost_s"]
     return costs
 
 
-def _saved(after: pd.Series, before: pd.Series, cell: Cell) -> Entry:
-    """What ``after`` saves on the trials of a cell that both finished."""
+def _saved(after: pd.Series, before: pd.Series) -> Entry:
+    """What ``after`` saves on the trials that both finished."""
     trials = after.index.intersection(before.index)
-    if cell != EVERYTHING:
-        trials = trials[trials.str.startswith(f"{cell[0]}-{cell[1]}-")]
     estimate = improvement_percent(after.loc[trials].to_numpy(), before.loc[trials].to_numpy())
     entry = percent_entry(estimate)
-    tone = "good" if estimate.low > 0 else "bad" if estimate.high < 0 else ""
-    return Entry(entry.value, entry.details, tone)
+    return Entry(entry.value, entry.details, "good" if estimate.low > 0 else "bad" if estimate.high < 0 else "")
 
 
 def _mark(estimate: Estimate, printed: float) -> str:

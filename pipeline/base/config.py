@@ -307,7 +307,7 @@ class Config(_Section):
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
-    planner_variants: dict[str, PlannerVariant]
+    planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     evaluation: Evaluation
     realism: Realism
     ablation: Ablation
@@ -345,8 +345,9 @@ def load(composed: DictConfig) -> Config:
 
 def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
     """The configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
-    changes = OmegaConf.from_dotlist(list(overrides))
-    return load(OmegaConf.merge(OmegaConf.create(config.model_dump(mode="json")), changes))
+    changed = OmegaConf.create(config.model_dump(mode="json"))
+    changed.merge_with_dotlist(list(overrides))
+    return load(changed)
 
 
 def _check_planners(config: Config) -> None:
