@@ -18,15 +18,17 @@ from typing import Any
 from mrtask.analysis.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
 from pipeline import evaluate
 from pipeline.app.main import main
-from pipeline.backends.pool import Pool
+from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Ablation, Config, PlannerVariant, UserError, content_hash, with_overrides
-from pipeline.episodes.plan import EPISODES
+from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
-from pipeline.store.rows import TRACE, read_episodes, read_traces
+from pipeline.store.layout import EPISODES, REPORT, REPORT_INDEX
+from pipeline.store.rows import read_episodes, read_traces
 
 PAPER, AUTHORS = "paper", "authors"
-RUNS, PAGE = "runs", "report/index.html"
+RUNS = "runs"
+"""The folder of the evaluations, each laid out like any other output_dir."""
 OF_TRIALS = {"seed", "map", "homes", "evaluation"}
 """The parts of the configuration that decide which trials there are; planners' options are the rest of an arm."""
 
@@ -78,7 +80,7 @@ class SharedRun:
         )
 
 
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
     began_s = time.monotonic()
     shared = lay_out(config)
@@ -86,7 +88,7 @@ def run(config: Config, pool: Pool) -> None:
     console.headline("ablation", f"{arms} arms in {len(shared)} evaluations")
     configs = [one.configured() for one in shared]
     for one in configs:
-        evaluate.run(one, pool)
+        evaluate.run(one, session)
     if config.dry_run:
         return
     folder = Folder(config.output_dir)
@@ -94,8 +96,8 @@ def run(config: Config, pool: Pool) -> None:
         rows = [arm for one, its in zip(shared, configs, strict=True) for arm in _arm_rows(one, its)]
         order = {arm.name: number for number, arm in enumerate(protocols(config.ablation))}
         rows.sort(key=lambda arm: order[arm.name])
-        folder.write(PAGE, render_ablation(rows, config.experiment).encode())
-    console.result(folder / PAGE, time.monotonic() - began_s)
+        (folder / REPORT).write(REPORT_INDEX, render_ablation(rows, config.experiment).encode())
+    console.result(folder / REPORT / REPORT_INDEX, time.monotonic() - began_s)
 
 
 def protocols(ablation: Ablation) -> list[Protocol]:
@@ -153,6 +155,8 @@ def _arm_rows(shared: SharedRun, config: Config) -> Iterator[ArmRows]:
         of_arm = of_arm.assign(planner=of_arm["planner"].map(own))
         yield ArmRows(arm.name, of_arm, arm.overrides, arm.in_detail, arm.is_step)
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.ablation")
