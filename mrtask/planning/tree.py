@@ -168,19 +168,24 @@ def attach(tree: Tree, edge: int, node: int) -> None:
 
 
 @compiled
-def least_bound(tree: Tree, node: int, exploration: float) -> int:
-    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge.
+def spread_s(tree: Tree) -> float:
+    """The scale of costs, for UCB1's constant: their largest standard deviation so far.
 
-    The scale of costs is their largest standard deviation so far. The present one would fall while the search settles
-    on one action, faster than the logarithm grows, and end exploration for good.
+    The present one would fall while the search settles on one action, faster than the logarithm grows, and end
+    exploration for good.
     """
-    spread_s = tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
+    return tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
+
+
+@compiled
+def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
+    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
     log_visits = np.log(tree.visits[node] + 1.0)
     best, best_bound = NONE, np.inf
     edge = tree.first_edge[node]
     while edge != NONE:
         visits = tree.edge_visits[edge]
-        bound = tree.total_s[edge] / visits - exploration * spread_s * np.sqrt(log_visits / visits)
+        bound = tree.total_s[edge] / visits - exploration_s * np.sqrt(log_visits / visits)
         if bound < best_bound:
             best, best_bound = edge, bound
         edge = tree.next_edge[edge]
@@ -215,6 +220,26 @@ def edges_of(tree: Tree, node: int) -> list[int]:
 def mean_cost_s(tree: Tree, edge: int) -> float:
     """The mean cost of the samples through an edge."""
     return float(tree.total_s[edge] / tree.edge_visits[edge])
+
+
+def most_visited(tree: Tree, node: int) -> int:
+    """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
+    return min(
+        edges_of(tree, node), key=lambda edge: (-int(tree.edge_visits[edge]), mean_cost_s(tree, edge)), default=NONE
+    )
+
+
+def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
+    """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
+    node = 0
+    for _ in range(deciders):
+        visits = [*sorted((int(tree.edge_visits[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
+        if visits[0] - visits[1] <= samples_left:
+            return False
+        node = int(tree.first_child[most_visited(tree, node)])
+        if node == NONE:
+            break
+    return True
 
 
 def root_statistics(
