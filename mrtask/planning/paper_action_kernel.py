@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import compiled, compiled_apart
 from mrtask.planning.paper_belief_kernel import (
     AUTOMATON,
     F8,
@@ -104,7 +104,7 @@ def _is_alone(belief: PaperBelief, r: int) -> bool:
     return True
 
 
-@compiled
+@compiled_apart
 def set_limits(
     model: PaperModel, belief: PaperBelief, rules: ActionRules, limits: ActionLimits, node: int, r: int
 ) -> None:

@@ -28,7 +28,6 @@ class PaperModel(NamedTuple):
     """What does not change while planning."""
 
     travel_s: F8  # [C, C]
-    nearest_first: I4  # [C, C] the containers in the order of `travel_s`
     prob: F8  # [C, O]
     possible: I8  # [C] mask of the objects whose likelihood is above 0
     transitions: I4  # [Z, O]
@@ -62,12 +61,11 @@ class PaperBelief(NamedTuple):
     origin: I4  # [R] container departed from, or NONE: then `away` counts
     since_s: F8  # [R] departure
     away: F8  # [R, C] travel times from the place that is no container
-    away_first: I4  # [R, C] the containers in that order
 
 
 @compiled
-def copy_belief(source: PaperBelief, target: PaperBelief) -> None:
-    """Overwrites target."""
+def copy_belief(model: PaperModel, source: PaperBelief, target: PaperBelief) -> None:
+    """Overwrites target; rows of ``away`` change only with ``model.redirect``."""
     target.clock[0] = source.clock[0]
     for i in range(3):
         target.state[i] = source.state[i]
@@ -89,11 +87,9 @@ def copy_belief(source: PaperBelief, target: PaperBelief) -> None:
         target.under_way[r] = source.under_way[r]
         target.origin[r] = source.origin[r]
         target.since_s[r] = source.since_s[r]
-        if source.origin[r] == NONE:
+        if model.redirect and source.origin[r] == NONE:
             for c in range(source.searched.size):
                 target.away[r, c] = source.away[r, c]
-            for c in range(source.searched.size):
-                target.away_first[r, c] = source.away_first[r, c]
 
 
 @compiled
@@ -110,15 +106,9 @@ def distance_s(model: PaperModel, belief: PaperBelief, r: int, c: int) -> float:
 
 @compiled
 def _leave_path(model: PaperModel, belief: PaperBelief, r: int) -> None:
-    """Lets a robot in mid-path stand where it is: fills its row of ``away`` and sorts it."""
+    """Lets a robot in mid-path stand where it is."""
     for c in range(belief.searched.size):
-        here_s = distance_s(model, belief, r, c)
-        belief.away[r, c] = here_s
-        spot = c
-        while spot > 0 and belief.away[r, belief.away_first[r, spot - 1]] > here_s:
-            belief.away_first[r, spot] = belief.away_first[r, spot - 1]
-            spot -= 1
-        belief.away_first[r, spot] = c
+        belief.away[r, c] = distance_s(model, belief, r, c)
     belief.under_way[r] = 0
     belief.place[r] = NONE
     belief.origin[r] = NONE

@@ -101,7 +101,7 @@ def run_samples(
     A full tree grows no further: samples then leave it at its fringe.
     """
     for _ in range(samples):
-        copy_belief(root, belief)
+        copy_belief(model, root, belief)
         exploration_s = exploration.constant * (spread_s(tree) if exploration.per_spread else 1.0)
         node, depth, cost_s, at_leaf = 0, 0, 0.0, True
         while True:

@@ -10,7 +10,7 @@ import numpy as np
 from mrtask.planning import team_kernel as team
 from mrtask.planning.compiled import compiled, random_unit
 from mrtask.planning.greedy_kernel import GreedyPolicy, rollout
-from mrtask.planning.paper_belief_kernel import AUTOMATON, F8, I4, I8, LOCATED, U8, PaperBelief, PaperModel
+from mrtask.planning.paper_belief_kernel import AUTOMATON, F8, I4, LOCATED, U8, PaperBelief, PaperModel, distance_s
 from mrtask.planning.tree import NONE
 
 ZERO, NEAREST, REVEALED = 0, 1, 2
@@ -19,15 +19,11 @@ NEGLIGIBLE_PROB = 1e-12
 
 
 class Bound(NamedTuple):
-    """Which bound a leaf has, with work space; a robot in mid-path starts from two places, so there are 2 R starts."""
+    """Which bound a leaf has, with work space."""
 
     kind: int  # ZERO, NEAREST or REVEALED
-    offset_s: F8  # [2 R] seconds until a robot is at its start
-    row: I4  # [2 R] the start: a container, or C + robot for the robot's own place
-    spot: I4  # [2 R] how many containers, the nearest first, were looked at from there
-    next_s: F8  # [2 R] seconds to the next one
-    seen: I8  # [C] the last walk that came to a container
-    walk: I8  # [1] number of walks
+    nearest_s: F8  # [C] seconds from the nearest robot
+    order: I4  # [C] the containers, the nearest first
     nowhere: F8  # [O]
     rest_s: F8  # [O] seconds until each object is done with
 
@@ -41,77 +37,39 @@ class Rollouts(NamedTuple):
 
 
 @compiled
-def _next_container(model: PaperModel, belief: PaperBelief, bound: Bound, start: int) -> int:
-    containers = belief.searched.size
-    row, spot = bound.row[start], bound.spot[start]
-    return model.nearest_first[row, spot] if row < containers else belief.away_first[row - containers, spot]
-
-
-@compiled
-def _set_next(model: PaperModel, belief: PaperBelief, bound: Bound, start: int) -> None:
-    """Sets ``next_s`` of a start, inf once it has no more containers."""
-    containers = belief.searched.size
-    if bound.spot[start] == containers:
-        bound.next_s[start] = np.inf
-        return
-    c, row = _next_container(model, belief, bound, start), bound.row[start]
-    way_s = model.travel_s[row, c] if row < containers else belief.away[row - containers, c]
-    bound.next_s[start] = bound.offset_s[start] + way_s
-
-
-@compiled
-def _add_start(
-    model: PaperModel, belief: PaperBelief, bound: Bound, starts: int, r: int, c: int, offset_s: float
-) -> int:
-    bound.row[starts] = belief.searched.size + r if c == NONE else c
-    bound.offset_s[starts] = offset_s
-    bound.spot[starts] = 0
-    _set_next(model, belief, bound, starts)
-    return starts + 1
-
-
-@compiled
-def _starts(model: PaperModel, belief: PaperBelief, bound: Bound) -> int:
-    """Lists from where robots can go on: a free or waiting robot from its place, an acting one once it has arrived."""
-    starts, clock_s = 0, belief.clock[0]
+def _sort_by_distance(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
+    """Fills ``nearest_s``, counting from where robots are or have arrived, and sorts ``order`` by it (insertion)."""
+    for c in range(belief.searched.size):
+        bound.nearest_s[c] = np.inf
     for r in range(belief.place.size):
-        place = belief.place[r]
-        if belief.under_way[r]:
-            starts = _add_start(model, belief, bound, starts, r, place, belief.reach_s[r] - clock_s)
-            starts = _add_start(model, belief, bound, starts, r, belief.origin[r], clock_s - belief.since_s[r])
-        else:
-            ready_s = 0.0 if belief.obj[r] == NONE else max(belief.arrive_s[r] - clock_s, 0.0)
-            starts = _add_start(model, belief, bound, starts, r, place, ready_s)
-    return starts
+        ready_s = 0.0 if belief.obj[r] == NONE else max(belief.arrive_s[r] - belief.clock[0], 0.0)
+        for c in range(belief.searched.size):
+            bound.nearest_s[c] = min(bound.nearest_s[c], ready_s + distance_s(model, belief, r, c))
+    for c in range(belief.searched.size):
+        here_s, spot = bound.nearest_s[c], c
+        while spot > 0 and bound.nearest_s[bound.order[spot - 1]] > here_s:
+            bound.order[spot] = bound.order[spot - 1]
+            spot -= 1
+        bound.order[spot] = c
 
 
 @compiled
 def _fetch_times(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
     """Fills ``rest_s`` of the objects needed with the time of the nearest robot to the nearest container.
 
-    That is the mean over what may be where, given that the object exists; for NEAREST to where it may be at all. The
-    containers are walked from all starts at once, the nearest first.
+    That is the mean over what may be where, given that the object exists; for NEAREST to where it may be at all.
     """
     objects = model.prob.shape[1]
     wanted = model.needed[belief.state[AUTOMATON]]
+    _sort_by_distance(model, belief, bound)
     for obj in range(objects):
         bound.nowhere[obj], bound.rest_s[obj] = 1.0, 0.0
-    starts = _starts(model, belief, bound)
-    bound.walk[0] += 1
-    while wanted:
-        start, nearest_s = NONE, np.inf
-        for other in range(starts):
-            if bound.next_s[other] < nearest_s:
-                start, nearest_s = other, bound.next_s[other]
-        if start == NONE:
+    for spot in range(belief.searched.size):
+        c = bound.order[spot]
+        nearest_s = bound.nearest_s[c]
+        if wanted == 0 or nearest_s == np.inf:
             break
-        c = _next_container(model, belief, bound, start)
-        bound.spot[start] += 1
-        _set_next(model, belief, bound, start)
-        if bound.seen[c] == bound.walk[0]:
-            continue
-        bound.seen[c] = bound.walk[0]
-        here = wanted & model.possible[c] & ~belief.absent[c] | wanted & belief.present[c]
+        here = wanted & (model.possible[c] & ~belief.absent[c] | belief.present[c])
         for obj in range(objects):
             if (here >> obj) & 1:
                 prob = model.prob[c, obj]

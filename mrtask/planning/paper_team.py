@@ -33,7 +33,6 @@ def paper_model(
     prob = _search_prob(problem, round_decimals)
     return kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
-        nearest_first=_nearest_first(problem.travel_s),
         prob=prob,
         possible=((prob > 0) * bits).sum(axis=1).astype(np.int64),
         transitions=automaton.transitions.astype(np.int32),
@@ -62,7 +61,6 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
     root.state[kernel.LOCATED] = (problem.found() * bits).sum()
     for index, robot in enumerate(problem.robots):
         root.place[index] = root.origin[index] = robot.place
-        root.away[index] = robot.travel_s
         if robot.free:
             root.undecided[index] = 1
         elif robot.target >= 0:
@@ -75,12 +73,11 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
             _put(root, index, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
         else:
             _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
-    root.away_first[:] = _nearest_first(root.away)
     return root
 
 
 def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
-    """A belief of the problem's size, to be overwritten."""
+    """A belief of the problem's size, to be overwritten but for the robots' distances from where they are now."""
     (containers, objects), robots = problem.presence_prob.shape, len(problem.robots)
     return kernel.PaperBelief(
         clock=np.zeros(1),
@@ -98,22 +95,17 @@ def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
         under_way=np.zeros(robots, dtype=np.uint8),
         origin=np.full(robots, NONE, dtype=np.int32),
         since_s=np.zeros(robots),
-        away=np.zeros((robots, containers)),
-        away_first=np.zeros((robots, containers), dtype=np.int32),
+        away=np.array([robot.travel_s for robot in problem.robots], dtype=np.float64),
     )
 
 
 def bound_of(problem: PlanningProblem, kind: int) -> Bound:
     """The bound ZERO, NEAREST or REVEALED of `mrtask.planning.paper_leaf_kernel`, with its work space."""
-    (containers, objects), robots = problem.presence_prob.shape, len(problem.robots)
+    containers, objects = problem.presence_prob.shape
     return Bound(
         kind=kind,
-        offset_s=np.empty(2 * robots),
-        row=np.empty(2 * robots, dtype=np.int32),
-        spot=np.empty(2 * robots, dtype=np.int32),
-        next_s=np.empty(2 * robots),
-        seen=np.zeros(containers, dtype=np.int64),
-        walk=np.zeros(1, dtype=np.int64),
+        nearest_s=np.empty(containers),
+        order=np.empty(containers, dtype=np.int32),
         nowhere=np.empty(objects),
         rest_s=np.empty(objects),
     )
@@ -122,11 +114,6 @@ def bound_of(problem: PlanningProblem, kind: int) -> Bound:
 def rollouts_of(problem: PlanningProblem) -> Rollouts:
     """The greedy policy in the problem's terms."""
     return Rollouts(team_model(problem), blank_world(problem), policy(problem, LATER_WEIGHT))
-
-
-def _nearest_first(travel_s: FloatArray) -> kernel.I4:
-    order: kernel.I4 = np.argsort(travel_s, axis=1, kind="stable").astype(np.int32)
-    return order
 
 
 def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> FloatArray:

@@ -26,6 +26,8 @@ I8 = NDArray[np.int64]
 NONE = -1
 NODES, EDGES = 0, 1
 """Indices of `Tree.size`."""
+EDGE_MEAN, EDGE_WIDTH = 0, 1
+"""Columns of `Tree.bound`: an edge's mean cost, and 1 / sqrt(visits)."""
 COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
 """Indices of `Tree.moments`: Welford's running sums, and the largest standard deviation so far."""
 MAX_PATH = 4096
@@ -73,6 +75,7 @@ class Tree(NamedTuple):
     edge_visits: I4  # [M] samples through an edge
     total_s: F8  # [M] their summed costs
     squares: F8  # [M] their summed squared costs
+    bound: F8  # [M, 2] what UCB1 needs of them, kept so that no root or quotient is taken at each look
     path: I4  # [MAX_PATH] edges of the sample under way
     moments: F8  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
@@ -98,6 +101,7 @@ def empty_tree(options: SearchOptions) -> Tree:
         edge_visits=integers(),
         total_s=np.empty(nodes),
         squares=np.empty(nodes),
+        bound=np.empty((nodes, 2)),
         path=np.empty(MAX_PATH, dtype=np.int32),
         moments=np.zeros(4),
     )
@@ -180,12 +184,11 @@ def spread_s(tree: Tree) -> float:
 @compiled
 def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
     """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
-    log_visits = np.log(tree.visits[node] + 1.0)
+    radius_s = exploration_s * np.sqrt(np.log(tree.visits[node] + 1.0))
     best, best_bound = NONE, np.inf
     edge = tree.first_edge[node]
     while edge != NONE:
-        visits = tree.edge_visits[edge]
-        bound = tree.total_s[edge] / visits - exploration_s * np.sqrt(log_visits / visits)
+        bound = tree.bound[edge, EDGE_MEAN] - radius_s * tree.bound[edge, EDGE_WIDTH]
         if bound < best_bound:
             best, best_bound = edge, bound
         edge = tree.next_edge[edge]
@@ -206,6 +209,9 @@ def back_up(tree: Tree, depth: int, cost_s: float) -> None:
         tree.edge_visits[edge] += 1
         tree.total_s[edge] += cost_s
         tree.squares[edge] += cost_s * cost_s
+        visits = float(tree.edge_visits[edge])
+        tree.bound[edge, EDGE_MEAN] = tree.total_s[edge] / visits
+        tree.bound[edge, EDGE_WIDTH] = 1.0 / np.sqrt(visits)
 
 
 def edges_of(tree: Tree, node: int) -> list[int]:

@@ -395,10 +395,10 @@ class NaivePaperSearch:
             self.edges += 1
             node.edges.append(Edge(node.untried.pop(0)))
             return node.edges[-1]
-        log_visits = math.log(node.visits + 1.0)
+        radius_s = exploration_s * math.sqrt(math.log(node.visits + 1.0))
 
         def bound_s(edge):
-            return edge.total_s / edge.tries - exploration_s * math.sqrt(log_visits / edge.tries)
+            return edge.total_s / edge.tries - radius_s * (1.0 / math.sqrt(edge.tries))
 
         return min(reversed(node.edges), key=bound_s, default=None)
 

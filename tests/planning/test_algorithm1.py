@@ -137,7 +137,7 @@ def test_the_kernel_draws_algorithm_1s_outcomes(seed, exists):
             root.arrive_s[robot], root.done_s[robot] = action.arrive_s, action.done_s
     rng, draws, seen = np.array([seed], dtype=np.uint64), 20_000, Counter()
     for _ in range(draws):
-        copy_belief(root, scratch)
+        copy_belief(model, root, scratch)
         order = sample_outcome(model, scratch, rng)
         assert order != NONE
         seen[(order // 2, bool(order % 2), float(scratch.clock[0]), int(scratch.state[0]))] += 1
