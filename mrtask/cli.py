@@ -16,6 +16,7 @@ STAGES = {
     "evaluate": "runs every planner on every trial",
     "report": "writes the report of an evaluation",
     "realism": "compares generated homes with real ones",
+    "ablation": "switches between the text of the paper and its authors' code, one by one",
 }
 TOOLS = {
     "score": ("mrtask.suite.score", "scores a planner on a suite of trials that never changes"),

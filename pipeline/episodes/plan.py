@@ -68,15 +68,19 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir),
+        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir, config.map.ways),
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
             formula=options.formula,
             formula_objects=objects,
             robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            unsearched_share=options.unsearched_share,
+            cost=options.cost,
         ),
         planner_options={name: config.planner_options(name) for name in options.planners},
+        planners_behind={name: config.planner_behind(name) for name in options.planners},
+        home_order=options.homes.order,
         provenance=Provenance(model.version, identity.config_hash, code_version()),
     )
     return EvaluationPlan(
@@ -139,13 +143,15 @@ def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...
 
 def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> RunIdentity:
     options = config.evaluation
+    ids = [home.id for home in evaluated]
+    variants = {name: {"variant_of": one.planner} for name, one in config.planner_variants.items()}
     return RunIdentity(
         seed=config.seed,
         map=config.map,
         homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
-        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
-        evaluated_homes=content_hash(sorted(home.id for home in evaluated)),
-        planner={name: config.planner_options(name) for name in options.planners},
+        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT) | {"home_order": options.homes.order},
+        evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
+        planner={name: config.planner_options(name) | variants.get(name, {}) for name in options.planners},
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
     )

@@ -75,7 +75,7 @@ def row_of(outcome: Outcome[EpisodeKey, EpisodeRow], context: Context) -> Episod
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
     """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
     for name, key in {key.planner: key for key in reversed(missing)}.items():
-        if name in PLANNERS:
+        if context.planner(name)[0] in PLANNERS:
             try:
                 warm(key, context)
             except Exception as error:  # the run goes on: its episodes will be rows of status error
