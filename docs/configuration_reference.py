@@ -193,6 +193,8 @@ def _described(annotation: Any, metadata: list[Any] | tuple[Any, ...] = ()) -> s
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return f"{len(value)} of them, in conf/"
     if isinstance(value, list):
         return "[" + ", ".join(map(str, value)) + "]"
     return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

@@ -353,7 +353,7 @@ def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def _read_formula(plain: Any) -> None:
-    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and the path out of the way."""
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
     options = plain["evaluation"]
     if (path := options.get("formula_file")) is None:
         return
