@@ -7,6 +7,7 @@ Needs nothing but Python itself, so that it also runs before anything is install
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import socket
@@ -116,17 +117,12 @@ def installed(what: str, modules: tuple[str, ...], advice: str) -> Finding:
 
 def available_memory_gb() -> float | None:
     """Memory that can be taken, also where a container has less than the machine; None where it cannot be known."""
-    amounts = []
-    for path, parse in (
-        ("/proc/meminfo", lambda text: 1024 * int(text.split("MemAvailable:")[1].split()[0])),
-        ("/sys/fs/cgroup/memory.max", lambda text: int(text) if text.strip() != "max" else None),
-    ):
-        try:
-            amounts.append(parse(Path(path).read_text(encoding="ascii")))
-        except (OSError, ValueError, IndexError):
-            continue
-    known = [amount for amount in amounts if amount is not None]
-    return min(known) / GIB if known else None
+    bytes_known = []
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        bytes_known.append(1024 * int(Path("/proc/meminfo").read_text().split("MemAvailable:")[1].split()[0]))
+    with contextlib.suppress(OSError, ValueError):  # "max" where there is no limit
+        bytes_known.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min(bytes_known) / GIB if bytes_known else None
 
 
 def main() -> int:
