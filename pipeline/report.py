@@ -23,6 +23,7 @@ from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.episodes.plan import EPISODES, MANIFEST
+from pipeline.optimality import read_optimality
 from pipeline.store.folder import Folder, locked
 from pipeline.store.home_files import HomeFiles
 from pipeline.store.rows import TRACE, read_episodes, read_traces
@@ -50,7 +51,9 @@ def report(config: Config, run_id: str | None = None) -> Folder:
     episodes, manifest = collect(folder)
     console.headline("report", f"{len(episodes)} episodes")
     target = folder / REPORT
-    key = {"key": content_hash([_digest(episodes), manifest, source_hash("mrtask/analysis")])}
+    optimality = read_optimality(folder)
+    from_optimal = None if optimality is None else optimality.to_csv(index=False)
+    key = {"key": content_hash([_digest(episodes), manifest, from_optimal, source_hash("mrtask/analysis")])}
     if target.read(KEY_FILE) == json.dumps(key).encode():
         console.skipped(target / INDEX)
         return target
@@ -58,7 +61,7 @@ def report(config: Config, run_id: str | None = None) -> Folder:
     drawn = _homes(manifest, {pick.home_id for pick in picks})
     episodes = _with_traces(episodes, folder, {pick.trial_id for pick in picks})
     with tempfile.TemporaryDirectory() as temporary:
-        write_report(render_report(episodes, manifest, drawn), Path(temporary))
+        write_report(render_report(episodes, manifest, drawn, optimality), Path(temporary))
         target.upload(Path(temporary))
         if run_id := run_id or manifest.get("run_id"):
             store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)

@@ -231,6 +231,14 @@ class Realism(_Section):
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
+class Optimality(_Section):
+    """How far planners are from optimal: on how many trials and worlds it is measured."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    worlds: int = Field(ge=2)
+
+
 class Cluster(_Section):
     """Where Ray runs and how much of it a run may take."""
 
@@ -276,6 +284,7 @@ class Config(_Section):
     planner: dict[str, dict[str, Any]]
     evaluation: Evaluation
     realism: Realism
+    optimality: Optimality
     cluster: Cluster
     tracking: Tracking
 
@@ -304,6 +313,8 @@ def load(composed: DictConfig) -> Config:
 def _check_planners(config: Config) -> None:
     for name in config.evaluation.planners:
         _check_planner("evaluation.planners", name, config.planner_options(name))
+    for name in config.optimality.planners:
+        _check_planner("optimality.planners", name, config.planner_options(name))
     own = {name.rsplit(".", 1)[-1] for name in config.evaluation.planners if "." in name}
     for name in config.planner.keys() - own:
         _check_planner("planner", name, config.planner[name])

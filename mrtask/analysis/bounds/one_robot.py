@@ -43,8 +43,10 @@ from numpy.typing import NDArray
 from mrtask.analysis.bounds import one_robot_kernel as kernel
 from mrtask.analysis.bounds.belief import Belief, Bools, Floats
 
-MAX_WORK = 6e8
-"""Elementary steps for one table of v and the worlds that use it, by the estimate of `_work`: about a second."""
+MAX_TABLE_WORK = 6e8
+"""Elementary steps for a table of v, by a rough count: less than a second."""
+MAX_WORLD_WORK = 1e8
+"""Elementary steps for each world: a fifth of a second."""
 MAX_ENTRIES = 2e7
 """Of the table of v: 160 MB."""
 
@@ -178,22 +180,20 @@ def _by_promise(belief: Belief) -> NDArray[np.intp]:
 
 def _affordable(belief: Belief, containers: int) -> int:
     """How many containers may stay hidden."""
-    while containers > 1 and max(_work(belief, containers) / MAX_WORK, _entries(belief, containers) / MAX_ENTRIES) > 1:
+    while containers > 1 and not _is_affordable(belief, containers):
         containers -= 1
     return containers
 
 
-def _locations(belief: Belief, containers: int) -> int:
-    return int((containers + 1) ** (_waiting(belief) & ~belief.found).sum())
-
-
-def _entries(belief: Belief, containers: int) -> float:
-    return float(2**containers * len(belief.needed) * _locations(belief, containers) * containers)
-
-
-def _work(belief: Belief, containers: int) -> float:
-    outcomes = 2 ** int(belief.needed[belief.state].sum())
-    return _entries(belief, containers) * (outcomes + containers)
+def _is_affordable(belief: Belief, containers: int) -> bool:
+    objects = int(belief.needed[belief.state].sum())
+    steps = 2.0**containers * len(belief.needed) * containers
+    entries = steps * (containers + 1) ** int((_waiting(belief) & ~belief.found).sum())
+    return (
+        entries <= MAX_ENTRIES
+        and entries * (2**objects + containers) <= MAX_TABLE_WORK
+        and steps * (2**objects * objects + containers) <= MAX_WORLD_WORK
+    )
 
 
 def _waiting(belief: Belief) -> Bools:
