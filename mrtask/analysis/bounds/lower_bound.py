@@ -13,7 +13,7 @@ from mrtask.analysis.bounds.one_robot import SearchMade, one_robot_bound
 from mrtask.analysis.bounds.team import team_bound
 from mrtask.planning.problem import PlanningProblem
 
-PILOT_WORLDS = 50
+PILOT_WORLDS = 30
 """By which the bound for a team chooses among its curves."""
 
 
