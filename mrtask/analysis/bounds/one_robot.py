@@ -65,7 +65,9 @@ class OneRobotBound:
     values_s: Floats
     """[K], less the penalties of the planner's own run where runs are given."""
     exact: bool
-    """Whether the mean over all worlds is the optimum itself: no object may have to wait, nothing was revealed."""
+    """Whether the mean over all worlds is the optimum itself.
+
+    It is where no object may have to wait, none that is needed was found before, and nothing was revealed."""
 
 
 def one_robot_bound(belief: Belief, worlds: Bools, runs: Sequence[Sequence[SearchMade]] | None = None) -> OneRobotBound:
@@ -96,7 +98,8 @@ def one_robot_bound(belief: Belief, worlds: Bools, runs: Sequence[Sequence[Searc
             values_s[member] = table.solve(worlds[member])
             if runs is not None:
                 values_s[member] -= table.paid_s(runs[member])
-    exact = count == len(promising) and not _waiting(belief).any() and _only_nearer(belief)
+    known = belief.known.any(axis=0) & needed
+    exact = count == len(promising) and not (known | _waiting(belief)).any() and _only_nearer(belief)
     return OneRobotBound(values_s, exact)
 
 

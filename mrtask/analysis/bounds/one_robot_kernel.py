@@ -48,7 +48,7 @@ class Search(NamedTuple):
 
 @compiled
 def _digit(search: Search, locations: int, obj: int) -> int:
-    return (locations // search.stride[obj]) % (search.prob.shape[0] + 1)
+    return int((locations // search.stride[obj]) % (search.prob.shape[0] + 1))
 
 
 @compiled
@@ -71,10 +71,10 @@ def _settled_state(search: Search, z: int, held: int) -> int:
 @compiled
 def _value_after(search: Search, value: F8, searched: int, z: int, settled: int, locations: int, c: int) -> float:
     """`value` once the robot has done at c what leads from state z to ``settled``; every letter is a step there."""
-    letters_s = search.interact_time_s * (search.steps[z] - search.steps[settled])
+    letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
     if search.accepting[settled]:
         return letters_s
-    return letters_s + value[searched, settled, locations, c]
+    return letters_s + float(value[searched, settled, locations, c])
 
 
 @compiled
@@ -97,8 +97,8 @@ def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> 
 def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) -> float:
     """That a container holds an object, given what was found in those searched."""
     if (found >> obj) & 1:
-        return search.prob[c, obj]
-    return min(search.prob[c, obj] / (1.0 - search.nowhere[searched, obj]), 1.0)
+        return float(search.prob[c, obj])
+    return float(min(search.prob[c, obj] / (1.0 - search.nowhere[searched, obj]), 1.0))
 
 
 @compiled
