@@ -4,7 +4,6 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.analysis.boun
 ``<output_dir>/optimality.csv``, which pipeline.report shows. Run again, it computes only the trials that are missing.
 """
 
-import io
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -16,44 +15,44 @@ from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.statistics import Estimate, cell_name
 from pipeline import homes
 from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
-from pipeline.episodes.plan import check, prepare
+from pipeline.episodes.plan import check, plan_evaluation
 from pipeline.episodes.worker import Context, EpisodeKey, assess_trial, warm
 from pipeline.evaluate import load_model
 from pipeline.store.folder import Folder, locked
+from pipeline.store.layout import OPTIMALITY
+from pipeline.store.rows import read_csv
 from pipeline.store.version import source_hash
 
-TABLE = "optimality.csv"
 KEY = "key"
 """Column with the hash of all that decides a row."""
 WRITE_EVERY_S = 10.0
 
 
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
-    check(config)
+    check(config.evaluation)
     store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-    folder, began_s = Folder(config.output_dir), time.monotonic()
-    options = config.optimality
+    folder, options, began_s = Folder(config.output_dir), config.optimality, time.monotonic()
     with locked(folder, config.cache_dir):
         model = load_model(config, store)
-        evaluation = prepare(config, homes.run(config, pool), model)
+        plan = plan_evaluation(config, homes.run(config, session), model)
         context = replace(
-            evaluation.context, planner_options={name: config.planner_options(name) for name in options.planners}
+            plan.context, planner_options={name: config.planner_options(name) for name in options.planners}
         )
-        trials = dict.fromkeys((key.size_class, key.robots, key.number) for key in evaluation.keys)
+        trials = dict.fromkeys((key.size_class, key.robots, key.number) for key in plan.keys)
         keys = [
             EpisodeKey(*trial, planner)
             for trial in trials
             if trial[2] < options.trials_per_cell
             for planner in options.planners
         ]
-        hashed = content_hash(
-            [evaluation.identity, context.planner_options, options.worlds, source_hash("mrtask/analysis/bounds")]
-        )
+        sources = source_hash("mrtask/analysis/bounds")
+        hashed = content_hash([plan.identity.content(), context.planner_options, options.worlds, sources])
         console.headline(
             "optimality", f"{len(keys)} trials, each in {options.worlds} worlds, model version {model.version}"
         )
@@ -61,24 +60,20 @@ def run(config: Config, pool: Pool) -> None:
         done = {(row["trial_id"], row["planner"]) for row in rows}
         missing = [key for key in keys if (key.trial_id, key.planner) not in done]
         if not missing:
-            console.skipped(folder / TABLE)
+            console.skipped(folder / OPTIMALITY)
             return
-        _assess_all(missing, context, options.worlds, pool, folder, rows, hashed)
+        _assess_all(missing, context, options.worlds, session.pool, folder, rows, hashed)
         for cell in summarise_optimality(pd.DataFrame(rows)):
             console.line(_said(cell))
-        console.result(folder / TABLE, time.monotonic() - began_s)
-
-
-def read_optimality(folder: Folder) -> pd.DataFrame | None:
-    """The rows of a run, None where there are none."""
-    content = folder.read(TABLE)
-    return None if content is None else pd.read_csv(io.BytesIO(content))
+        console.result(folder / OPTIMALITY, time.monotonic() - began_s)
 
 
 def _finished(folder: Folder, hashed: str) -> list[dict[str, Any]]:
     """The rows that are there and would come out the same."""
-    rows = read_optimality(folder)
-    return [] if rows is None else [dict(row) for row in rows[rows[KEY] == hashed].to_dict("records")]
+    rows = read_csv(folder, OPTIMALITY)
+    if rows is None:
+        return []
+    return [{str(name): value for name, value in row.items()} for row in rows[rows[KEY] == hashed].to_dict("records")]
 
 
 def _assess_all(
@@ -119,7 +114,7 @@ def _row(outcome: Outcome[EpisodeKey, dict[str, Any]]) -> Mapping[str, Any]:
 def _write(folder: Folder, rows: Iterable[Mapping[str, Any]]) -> None:
     if rows:
         ordered = pd.DataFrame(rows).sort_values(["trial_id", "planner"])
-        folder.write(TABLE, ordered.to_csv(index=False, lineterminator="\n").encode())
+        folder.write(OPTIMALITY, ordered.to_csv(index=False, lineterminator="\n").encode())
 
 
 def _said(cell: CellOptimality) -> str:
@@ -134,6 +129,8 @@ def _percent(estimate: Estimate) -> str:
     interval = f" [{estimate.low:.1f}, {estimate.high:.1f}]" if estimate.has_interval else ""
     return f"{estimate.value:.1f} %{interval}"
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.optimality")
