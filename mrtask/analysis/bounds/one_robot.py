@@ -94,7 +94,7 @@ def one_robot_bound(belief: Belief, worlds: Bools, runs: Sequence[Sequence[Searc
     for group in range(groups.max() + 1):
         members = np.flatnonzero(groups == group)
         table = Table(belief, np.flatnonzero(hidden), revealed[members[0]])
-        for member in members:
+        for member in members.tolist():
             values_s[member] = table.solve(worlds[member])
             if runs is not None:
                 values_s[member] -= table.paid_s(runs[member])
@@ -135,8 +135,8 @@ class Table:
             steps=automaton.steps_to_accept.astype(np.int32),
             order=order[~automaton.accepting[order] & (order != automaton.sink)].astype(np.int32),
             nearer_only=_only_nearer(belief),
-            known_mask=int(masks(known.any(axis=0)[None])[0]),
-            waiting_mask=int(masks(_waiting(belief)[None])[0]),
+            known_mask=int(masks(np.asarray(known.any(axis=0)))),
+            waiting_mask=int(masks(_waiting(belief))),
             stride=strides,
             locations=locations,
             search_time_s=float(belief.search_time_s),
@@ -192,7 +192,7 @@ def _is_affordable(belief: Belief, containers: int) -> bool:
     objects = int(belief.needed[belief.state].sum())
     steps = 2.0**containers * len(belief.needed) * containers
     entries = steps * (containers + 1) ** int((_waiting(belief) & ~belief.found).sum())
-    return (
+    return bool(
         entries <= MAX_ENTRIES
         and entries * (2**objects + containers) <= MAX_TABLE_WORK
         and steps * (2**objects * objects + containers) <= MAX_WORLD_WORK

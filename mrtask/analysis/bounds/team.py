@@ -111,7 +111,7 @@ class _HiddenGroup:
         for obj in self._others:
             places = np.flatnonzero(world[:, obj])
             if np.isin(places, self._inside).all():
-                allowed &= (sets & masks(np.isin(self._inside, places)[None])[0]) != 0
+                allowed &= (sets & masks(np.isin(self._inside, places))) != 0
         order = self._order[allowed[self._order]]
         times_s = self._visit_s[order]
         result = np.zeros(len(ends_s))

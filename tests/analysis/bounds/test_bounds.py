@@ -36,7 +36,7 @@ def test_no_bound_is_above_the_optimum_and_the_bound_is_above_clairvoyance_where
 
 
 def test_penalties_make_up_for_most_of_what_clairvoyance_misses():
-    found = np.array([gaps(tiny_problem(number))[:2] for number in (9, 10, 20, 45)])
+    found = np.array([gaps(tiny_problem(number))[:2] for number in (2, 9, 10, 20)])
     assert (found[:, 0] > found[:, 1]).all()
     assert (1 - found[:, 0]).mean() < 0.2 * (1 - found[:, 1]).mean()
 
@@ -61,7 +61,8 @@ def test_the_clairvoyant_makespan_is_the_optimum_of_the_problem_with_everything_
             robots=tuple(replace(robot, travel_s=row) for robot, row in zip(problem.robots, starts, strict=True)),
         )
         world = np.zeros(problem.presence_prob.shape, dtype=bool)
-        world[rng.integers(4, size=world.shape[1]), range(world.shape[1])] = True
+        # Each object elsewhere: the solver sends no two robots to one container, which the bound must allow.
+        world[rng.permutation(4)[: world.shape[1]], range(world.shape[1])] = True
         known = replace(problem, presence_prob=world.astype(float), searched=np.ones(4, dtype=bool))
         closed = replace(
             known,
