@@ -11,7 +11,7 @@ from mrtask.files import default_cache_dir
 from pipeline.base import interrupt
 from pipeline.store.version import source_hash
 
-KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning")
+KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/analysis/bounds")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / source_hash(*KERNEL_SOURCES)))
 
 # So it is while Python looks for the module that `python -m pipeline.<stage>` names.
