@@ -17,6 +17,7 @@ STAGES = {
     "report": "writes the report of an evaluation",
     "realism": "compares generated homes with real ones",
     "ablation": "switches between the text of the paper and its authors' code, one by one",
+    "optimality": "measures how far planners are from the best that any planner could do",
 }
 TOOLS = {
     "score": ("mrtask.suite.score", "scores a planner on a suite of trials that never changes"),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mrtask.cli import STAGES
 from tests.pipeline.harness import SMALL
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -93,6 +94,11 @@ def test_stages_run_from_it(site: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert (tmp_path / "out" / "report" / "index.html").is_file()
     assert list((tmp_path / "out" / "episodes").glob("*.parquet"))
+
+
+def test_the_command_has_every_stage() -> None:
+    stages = {path.stem for path in (ROOT / "pipeline").glob("*.py") if "\nSTAGE = " in path.read_text()}
+    assert set(STAGES) == stages
 
 
 def test_importing_the_library_is_light(tmp_path: Path) -> None:

@@ -31,7 +31,12 @@ class Report:
     table: str
 
 
-def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Mapping[str, Home]) -> Report:
+def render_report(
+    episodes: pd.DataFrame,
+    manifest: Mapping[str, Any],
+    homes: Mapping[str, Home],
+    optimality: pd.DataFrame | None = None,
+) -> Report:
     """The report of a run, or of a sweep.
 
     Args:
@@ -40,11 +45,12 @@ def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Ma
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.facts` reads it, and all of it is optional.
         homes: home id -> home, for drawing; trials in other homes are not drawn. `trials_to_draw` names those needed.
+        optimality: one row per trial whose lower bound was computed; see `mrtask.analysis.bounds.assess`.
 
     Raises:
         ValueError: a column is missing, or the episodes contradict each other.
     """
-    data = collect_report_data(episodes, manifest, homes)
+    data = collect_report_data(episodes, manifest, homes, optimality)
     table = result_table(data.summaries, data.published)
     return Report(render_page(data), table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
 

@@ -265,6 +265,14 @@ class Ablation(_Section):
     steps: tuple[Arm, ...]
 
 
+class Optimality(_Section):
+    """How far planners are from optimal: on how many trials and worlds it is measured."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    worlds: int = Field(ge=2)
+
+
 class Cluster(_Section):
     """Where Ray runs and how much of it a run may take."""
 
@@ -312,6 +320,7 @@ class Config(_Section):
     evaluation: Evaluation
     realism: Realism
     ablation: Ablation
+    optimality: Optimality
     cluster: Cluster
     tracking: Tracking
 
@@ -373,6 +382,8 @@ def _check_planners(config: Config) -> None:
         _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
     for name in config.evaluation.planners:
         _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+    for name in config.optimality.planners:
+        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
     behind = {config.planner_behind(name) for name in config.evaluation.planners}
     own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
     for name in config.planner.keys() - own:

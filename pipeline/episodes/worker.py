@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from mrtask.analysis.bounds.assess import assess
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
@@ -128,6 +129,16 @@ def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
         wall_s=time.perf_counter() - began_s,
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
+
+
+def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
+    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = context.table.matrix(home, trial.objects)
+    options = context.planner_options.get(key.planner, {})
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, key.planner, options, worlds)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:

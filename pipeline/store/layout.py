@@ -6,6 +6,7 @@ evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html and table.csv, and `ReportKey` in manifest.json
+optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 homes/, realism/      what draw=true and pipeline.realism leave
 cells/<cell>/         of a sweep: one output_dir for each cell
 """
@@ -21,6 +22,7 @@ STAGES = "stages.json"
 REPORT = "report"
 REPORT_INDEX = REPORT_FILE
 REPORT_KEY = "manifest.json"
+OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
 CELLS = "cells"
