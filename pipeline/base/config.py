@@ -262,6 +262,8 @@ class Ablation(_Section):
 
     switches: tuple[Arm, ...]
     steps: tuple[Arm, ...]
+    added_alone: bool
+    taken_alone: bool
 
 
 class Optimality(_Section):
