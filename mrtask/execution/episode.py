@@ -13,6 +13,7 @@ from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import Planner
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05
@@ -46,17 +47,19 @@ def run_episode(
     planner_name: str,
     planner_options: Mapping[str, object] | None = None,
     *,
+    planner: Planner | None = None,
     max_decisions: int = MAX_DECISIONS,
 ) -> EpisodeResult:
     """Runs a trial with a planner.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        planner: the planner itself, where it is not to be made from its name and options.
 
     Raises:
         ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
     """
-    planner = make_planner(planner_name, planner_options)
+    planner = planner or make_planner(planner_name, planner_options)
     simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
     decisions, idle_decisions, samples, planning_s, error = 0, 0, 0, 0.0, None
     max_idle_decisions = IDLE_DECISIONS_PER_ROBOT * trial.team.robots

@@ -209,6 +209,7 @@ class Evaluation(_Section):
     trials_per_cell: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
+    formula_file: LocalPath | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -346,6 +347,7 @@ def load(composed: DictConfig) -> Config:
         plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
+    _read_formula(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
@@ -359,6 +361,20 @@ def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
     changed = OmegaConf.create(config.model_dump(mode="json"))
     changed.merge_with_dotlist(list(overrides))
     return load(changed)
+
+
+def _read_formula(plain: Any) -> None:
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    options = plain["evaluation"]
+    if (path := options.get("formula_file")) is None:
+        return
+    if options["formula"] is not None:
+        raise UserError("evaluation.formula_file: give it or evaluation.formula, not both")
+    try:
+        options["formula"] = " ".join(_absolute(Path(str(path))).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
+    options["formula_file"] = None
 
 
 def _check_planners(config: Config) -> None:
