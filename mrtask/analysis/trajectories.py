@@ -210,12 +210,12 @@ def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
     """``(robot, place, container)`` -> what it interacted with there and when, in time order."""
     found: dict[tuple[int, Point, str], list[str]] = {}
     for letter in trace.letters:
-        place = _place_at(trace.robots[letter.robot], letter.t_s, trace.start)
+        place = place_at(trace.robots[letter.robot], letter.t_s, trace.start)
         found.setdefault((letter.robot, place, letter.container), []).append(f"{letter.object} {letter.t_s:.0f} s")
     return found
 
 
-def _place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
+def place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
     """Where a robot stands at this time: the end of its last finished leg."""
     places = [leg.path[-1] for leg in legs if leg.t1_s <= t_s + 1e-6]
     return places[-1] if places else start

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -92,7 +92,10 @@ def _prepare_process(module_name: str) -> None:
     sys.argv = ["dry_run=true" if argument == "--dry-run" else argument for argument in sys.argv]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
-    stage_help = importlib.import_module(module_name).__doc__ if "--help" in sys.argv else ""
+    module = importlib.import_module(module_name)
+    shorthands: Mapping[str, str] = getattr(module, "SHORTHANDS", {})
+    sys.argv[1:] = [_written_out(argument, shorthands) for argument in sys.argv[1:]]
+    stage_help = module.__doc__ if "--help" in sys.argv else ""
     for name, value in (
         ("stage_name", module_name),
         ("stage_help", stage_help),
@@ -100,6 +103,12 @@ def _prepare_process(module_name: str) -> None:
     ):
         OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
     OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
+
+
+def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:
+    """An override with its key's group."""
+    key, equals, value = argument.partition("=")
+    return f"{shorthands.get(key, key)}{equals}{value}"
 
 
 def _friendly(message: str) -> str:

@@ -231,6 +231,13 @@ class Realism(_Section):
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
+class Replay(_Section):
+    """Which trial is shown, and whose episodes."""
+
+    trial_id: str | None
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
 class Cluster(_Section):
     """Where Ray runs and how much of it a run may take."""
 
@@ -276,6 +283,7 @@ class Config(_Section):
     planner: dict[str, dict[str, Any]]
     evaluation: Evaluation
     realism: Realism
+    replay: Replay
     cluster: Cluster
     tracking: Tracking
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mrtask.execution.episode import EpisodeResult, run_episode, warm_up
+from mrtask.execution.episode import EpisodeResult, Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import LikelihoodTable
@@ -83,16 +83,16 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
-    """The row of an episode that came to an end, accepted or failed."""
+def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> dict[str, Any]:
+    """The row of an episode that came to an end, accepted or failed; ``observe`` is told of its decisions."""
     began_s = time.perf_counter()
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
     likelihood = context.table.matrix(home, trial.objects)
-    result = run_episode(
-        trial, home, bench.map_of(trial.home_id), likelihood, key.planner, context.planner_options.get(key.planner, {})
-    )
+    options = context.planner_options.get(key.planner, {})
+    home_map = bench.map_of(trial.home_id)
+    result = run_episode(trial, home, home_map, likelihood, key.planner, options, observe=observe)
     return _row(key, trial, home, result, context) | {
         "wall_s": time.perf_counter() - began_s,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
