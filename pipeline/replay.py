@@ -36,6 +36,8 @@ REPLAYS = "replays"
 SHORTHANDS = {"trial_id": "replay.trial_id", "planners": "replay.planners"}
 """Keys that this stage takes without their group."""
 MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
+Row = Mapping[str, Any]
+"""A row of the results with its trace."""
 PLAYED = ("accepted", "failed")
 """Episodes of another status broke off and left no trace."""
 
@@ -52,8 +54,8 @@ def run(config: Config, pool: Pool) -> None:
     recorded = _recorded(config, folder)
     store = tracking.open_tracking(recorded.tracking.uri, recorded.tracking.experiment_name)
     evaluation = prepare(recorded, homes.run(recorded, pool), evaluate.load_model(recorded, store))
-    episodes = [_replayed(rows.loc[planner], evaluation, folder) for planner in planners]
-    row = rows.loc[planners[0]]
+    episodes = [_replayed(rows[planner], evaluation, folder) for planner in planners]
+    row = rows[planners[0]]
     home = next(home for home in evaluation.context.homes if home.id == row["home_id"])
     automaton = build_automaton(row["formula"], tuple(row["objects"]))
     replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
@@ -63,7 +65,7 @@ def run(config: Config, pool: Pool) -> None:
     console.result(target / name, time.monotonic() - began_s)
 
 
-def _rows(folder: Folder, trial_id: str) -> pd.DataFrame:
+def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
     """The trial's rows with their traces, by planner.
 
     Raises:
@@ -78,27 +80,27 @@ def _rows(folder: Folder, trial_id: str) -> pd.DataFrame:
         shown = f"{trials[0]} to {trials[-1]}, {len(trials)} in all"
         raise UserError(f"trial_id={trial_id}: no such trial in {folder}, which has {shown}")
     traces = read_traces(folder / EPISODES, {trial_id})
-    return rows.merge(traces, on=["trial_id", "planner"]).set_index("planner", drop=False)
+    found = rows.merge(traces, on=["trial_id", "planner"]).to_dict("records")
+    return {row["planner"]: {str(name): value for name, value in row.items()} for row in found}
 
 
-def _planners(rows: pd.DataFrame, asked: tuple[str, ...], trial_id: str) -> tuple[str, ...]:
+def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) -> tuple[str, ...]:
     """The planners to show: those asked for, else the main one and the baseline beside it."""
-    played = rows[rows["status"].isin(PLAYED)]
+    played = {name: row for name, row in rows.items() if row["status"] in PLAYED}
     for name in asked:
-        if name not in rows.index:
-            raise UserError(f"planners: {name} has not run trial {trial_id}; {suggest(name, list(rows.index))}")
-        if name not in played.index:
-            row = rows.loc[name]
+        if name not in rows:
+            raise UserError(f"planners: {name} has not run trial {trial_id}; {suggest(name, list(rows))}")
+        if name not in played:
             raise UserError(
-                f"planners: the episode of {name} broke off with status {row['status']}, there is nothing to watch:\n"
-                f"{row['error']}"
+                f"planners: the episode of {name} on {trial_id} broke off with status {rows[name]['status']}, there is "
+                f"nothing to watch:\n{rows[name]['error']}"
             )
     if asked:
         return asked
-    main_one = main_planner(tuple(played.index))
+    main_one = main_planner(tuple(played))
     if main_one is None:
         raise UserError(f"trial_id={trial_id}: no planner came to an end, there is nothing to watch")
-    beside = baseline_beside(played, main_one)
+    beside = baseline_beside(list(played), main_one)
     return (main_one, beside) if beside else (main_one,)
 
 
@@ -124,7 +126,7 @@ def _recorded(config: Config, folder: Folder) -> Config:
         ) from error
 
 
-def _replayed(row: Mapping[str, Any], evaluation: Evaluation, folder: Folder) -> Episode:
+def _replayed(row: Row, evaluation: Evaluation, folder: Folder) -> Episode:
     """Runs the episode of a row again.
 
     Raises:
@@ -150,9 +152,7 @@ def _equal(stored: object, now: object) -> bool:
     return bool(pd.isna(stored)) if now is None else stored == now  # type: ignore[call-overload]
 
 
-def _why_unequal(
-    row: Mapping[str, Any], again: Mapping[str, Any], unequal: list[str], evaluation: Evaluation, folder: Folder
-) -> str:
+def _why_unequal(row: Row, again: Row, unequal: list[str], evaluation: Evaluation, folder: Folder) -> str:
     shown = ", ".join(
         f"{name} was {row[name]}, is now {again[name]}" if name != TRACE else "the drives differ" for name in unequal
     )

@@ -92,7 +92,7 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
         return []
-    return instructive_trials(rows, planner, baseline_beside(rows, planner))
+    return instructive_trials(rows, planner, baseline_beside(rows["planner"], planner))
 
 
 def _question(planner: str | None) -> str:

@@ -203,7 +203,7 @@ def _trajectories(data: ReportData) -> list[Picture]:
     rows, planner = data.rows, data.planner
     if planner is None or "trace" not in rows.columns:
         return []
-    baseline = baseline_beside(rows, planner)
+    baseline = baseline_beside(rows["planner"], planner)
     names = [planner] if baseline is None else [planner, baseline]
     pictures = []
     for pick in instructive_trials(rows, planner, baseline, data.homes.keys()):

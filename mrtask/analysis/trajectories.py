@@ -5,7 +5,7 @@ the baseline, where it saved the median, and where it lost most.
 """
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -84,9 +84,9 @@ def instructive_trials(
     return picks
 
 
-def baseline_beside(episodes: pd.DataFrame, planner: str) -> str | None:
+def baseline_beside(planners: Iterable[str], planner: str) -> str | None:
     """The planner drawn beside the main one: the informed baseline, or the first other that ran; None if none did."""
-    ran = set(episodes["planner"])
+    ran = set(planners)
     candidates = (INFORMED_BASELINE, *BASELINES, *sorted(ran))
     return next((name for name in candidates if name in ran and name != planner), None)
 

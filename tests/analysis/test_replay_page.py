@@ -45,7 +45,7 @@ def test_plays_to_the_end_and_stops(browser, page_path, replay):
         page.click("#play")
         assert page.get_attribute("#play", "aria-label") == "Pause"
         page.select_option("#speed", "20")
-        page.wait_for_function("document.getElementById('play').getAttribute('aria-label') === 'Play'")
+        page.locator('#play[aria-label="Play"]').wait_for()
         assert now(page) == pytest.approx(replay.end_s, abs=0.01)
         assert place_of(page) != start
         assert page.text_content('[data-run="0"] .doing') == "1done2done"
