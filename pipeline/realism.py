@@ -24,14 +24,15 @@ from mrtask.likelihood.training import score, train_model
 from mrtask.maps.home_map import build_map
 from pipeline import dataset, homes
 from pipeline.app.main import CONF_DIR, main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, GeneratedHomes, Map, Model, Procthor10kHomes, ProcthorHomes, UserError
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
+from pipeline.store.layout import REALISM
 from pipeline.train import training_options
 
-FOLDER = "realism"
 HOMES_TABLE, TRANSFER_TABLE = "homes.csv", "transfer.csv"
 METRICS = ("roc_auc", "log_loss", "best_log_loss")
 HOMES_PER_TASK = 10
@@ -39,7 +40,7 @@ ROUNDED = "{:.3f}".format
 ROUNDED_METRIC = "{:.4f}".format
 
 
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
     options = config.homes
     if not isinstance(options, ProcthorHomes | Procthor10kHomes):
@@ -54,15 +55,14 @@ def run(config: Config, pool: Pool) -> None:
         validation=options.validation,
         test=config.realism.generated_test,
     )
-    target = Folder(config.output_dir) / FOLDER
-    real_set, generated_set = (homes.make(each, config.datasets_dir, pool) for each in (options, generated))
-    compare(generated_set.houses, real_set.houses, config.map, config.seed, target, pool)
+    target = Folder(config.output_dir) / REALISM
+    real_set, generated_set = (homes.make(each, config.datasets_dir, session.pool) for each in (options, generated))
+    compare(generated_set.houses, real_set.houses, config.map, config.seed, target, session.pool)
     if config.draw:
         draw(generated_set.houses, real_set.houses, config.map, config.cache_dir, target)
     if config.realism.models:
-        ours, theirs = (
-            read_dataset(dataset.build(home_set, config.datasets_dir, pool)) for home_set in (generated_set, real_set)
-        )
+        folders = [dataset.build(each, config.datasets_dir, session.pool) for each in (generated_set, real_set)]
+        ours, theirs = map(read_dataset, folders)
         options_by_kind: dict[str, TrainingOptions] = {
             kind: _training_options(config, kind) for kind in config.realism.models
         }
@@ -142,6 +142,8 @@ def _say(table: str) -> None:
     for line in table.splitlines():
         console.line(line)
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.realism")

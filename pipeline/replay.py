@@ -6,7 +6,6 @@ The trial runs again with what the run in output_dir recorded of itself, and mus
 ``<output_dir>/replays/<trial_id>.html`` and needs no network.
 """
 
-import json
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -22,19 +21,19 @@ from mrtask.execution.trace import Trace
 from mrtask.tasks.automaton import build_automaton
 from pipeline import evaluate, homes
 from pipeline.app.main import main
-from pipeline.app.sweep import CELLS
+from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
-from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, suggest
-from pipeline.episodes.plan import EPISODES, IDENTITY, MANIFEST, Evaluation, prepare
+from pipeline.episodes.plan import EvaluationPlan, plan_evaluation
 from pipeline.episodes.worker import run_one
+from pipeline.store import layout
+from pipeline.store.episode_row import TRACE, EpisodeRow
 from pipeline.store.folder import Folder
-from pipeline.store.rows import TRACE, differences, read_episodes, read_traces
+from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, REPLAYS
+from pipeline.store.records import EvaluationManifest, RunIdentity
+from pipeline.store.rows import differences, read_episodes, read_traces
 
-REPLAYS = "replays"
-SHORTHANDS = {"trial_id": "replay.trial_id", "planners": "replay.planners"}
-"""Keys that this stage takes without their group."""
 MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
 Row = Mapping[str, Any]
 """A row of the results with its trace."""
@@ -42,7 +41,7 @@ PLAYED = ("accepted", "failed")
 """Episodes of another status broke off and left no trace."""
 
 
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
     began_s, folder = time.monotonic(), Folder(config.output_dir)
     trial_id = config.replay.trial_id
@@ -53,10 +52,10 @@ def run(config: Config, pool: Pool) -> None:
     console.headline("replay", f"trial {trial_id} by {', '.join(planners)}")
     recorded = _recorded(config, folder)
     store = tracking.open_tracking(recorded.tracking.uri, recorded.tracking.experiment_name)
-    evaluation = prepare(recorded, homes.run(recorded, pool), evaluate.load_model(recorded, store))
-    episodes = [_replayed(rows[planner], evaluation, folder) for planner in planners]
+    plan = plan_evaluation(recorded, homes.run(recorded, session), evaluate.load_model(recorded, store))
+    episodes = [_replayed(rows[planner], plan, folder) for planner in planners]
     row = rows[planners[0]]
-    home = next(home for home in evaluation.context.homes if home.id == row["home_id"])
+    home = next(home for home in plan.context.homes if home.id == row["home_id"])
     automaton = build_automaton(row["formula"], tuple(row["objects"]))
     replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
     command = f"python -m pipeline.replay trial_id={trial_id} planners=[{','.join(planners)}] output_dir={folder}"
@@ -71,9 +70,9 @@ def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
     Raises:
         UserError: there is no finished evaluation in the folder, or no such trial in it.
     """
-    if (folder / CELLS).names():
-        cells = ", ".join((folder / CELLS).names())
-        raise UserError(f"{folder} holds a sweep; give one of its cells as output_dir={folder}/{CELLS}/... ({cells})")
+    if cells := layout.cells(folder):
+        listed = ", ".join(str(cell) for cell in cells)
+        raise UserError(f"{folder} holds a sweep; give one of its cells as output_dir: {listed}")
     rows = read_episodes(folder / EPISODES)
     trials = sorted(set(rows["trial_id"]))
     if trial_id not in trials:
@@ -110,40 +109,40 @@ def _recorded(config: Config, folder: Folder) -> Config:
     Raises:
         UserError: there is none, or another version of the code wrote it.
     """
-    manifest = _json(folder, MANIFEST)
+    manifest = EvaluationManifest.read(folder, MANIFEST)
     if manifest is None:
         raise UserError(
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     here = {"output_dir": config.output_dir, "cache_dir": config.cache_dir, "draw": False, "overwrite": False}
     try:
-        return Config.model_validate({"replay": config.replay, **manifest["config"]} | here)
+        return Config.model_validate({"replay": config.replay, **manifest.config} | here)
     except ValidationError as error:
         first = error.errors()[0]
         raise UserError(
             f"{folder}/{MANIFEST} is of another version of the code ({'.'.join(map(str, first['loc']))}: "
-            f"{first['msg']}); replay it with the version that made it: {manifest.get('code_version', 'unknown')}"
+            f"{first['msg']}); replay it with the version that made it: {manifest.code_version}"
         ) from error
 
 
-def _replayed(row: Row, evaluation: Evaluation, folder: Folder) -> Episode:
+def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
     """Runs the episode of a row again.
 
     Raises:
         UserError: it does not come out equal.
     """
-    keys = {(key.trial_id, key.planner): key for key in evaluation.keys}
+    [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
     recorder = Recorder()
-    again = run_one(keys[row["trial_id"], row["planner"]], evaluation.context, recorder)
-    unequal = [name for name in MUST_BE_EQUAL if not _equal(row[name], again[name])]
+    again = run_one(key, plan.context, recorder)
+    unequal = [name for name in MUST_BE_EQUAL if not _equal(row[name], getattr(again, name))]
     if unequal:
-        raise UserError(_why_unequal(row, again, unequal, evaluation, folder))
+        raise UserError(_why_unequal(row, again, unequal, plan, folder))
     return Episode(
-        planner=row["planner"],
-        status=again["status"],
-        cost_s=again["cost_s"],
-        error=again["error"],
-        trace=Trace.from_json(again[TRACE]),
+        planner=again.planner,
+        status=again.status,
+        cost_s=again.cost_s,
+        error=again.error,
+        trace=Trace.from_json(row[TRACE]),
         decisions=tuple(recorder.decisions),
     )
 
@@ -152,12 +151,13 @@ def _equal(stored: object, now: object) -> bool:
     return bool(pd.isna(stored)) if now is None else stored == now  # type: ignore[call-overload]
 
 
-def _why_unequal(row: Row, again: Row, unequal: list[str], evaluation: Evaluation, folder: Folder) -> str:
+def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: EvaluationPlan, folder: Folder) -> str:
     shown = ", ".join(
-        f"{name} was {row[name]}, is now {again[name]}" if name != TRACE else "the drives differ" for name in unequal
+        "the drives differ" if name == TRACE else f"{name} was {row[name]}, is now {getattr(again, name)}"
+        for name in unequal
     )
-    recorded = _json(folder, IDENTITY)
-    changed = list(differences(recorded, json.loads(json.dumps(evaluation.identity)))) if recorded else []
+    recorded = RunIdentity.read(folder, IDENTITY)
+    changed = list(differences(recorded.content(), plan.identity.content())) if recorded else []
     if any(line.startswith("code:") for line in changed):
         reason = f"the code has changed since: check out {row['code_version']} to replay it"
     elif changed:
@@ -167,10 +167,7 @@ def _why_unequal(row: Row, again: Row, unequal: list[str], evaluation: Evaluatio
     return f"{row['planner']} on {row['trial_id']} does not replay to the stored episode ({shown}): {reason}"
 
 
-def _json(folder: Folder, name: str) -> dict[str, Any] | None:
-    content = folder.read(name)
-    return None if content is None else dict(json.loads(content))
-
+STAGE = Stage(run, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
 
 if __name__ == "__main__":
     main("pipeline.replay")

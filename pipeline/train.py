@@ -17,8 +17,8 @@ from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOpti
 from mrtask.likelihood.training import TrainedModel, score, train_model
 from pipeline import dataset
 from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
-from pipeline.backends.pool import Pool
 from pipeline.backends.tracking import ChampionError
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, Frequency, Model, Network, Tracking, Trainer, content_hash
@@ -29,10 +29,10 @@ from pipeline.store.version import code_version, source_hash
 SHOWN_METRICS = ("log_loss", "roc_auc")
 
 
-def run(config: Config, pool: Pool) -> TrainedModelRecord:
+def run(config: Config, session: Session) -> TrainedModelRecord:
     """The stage: the record of the trained model."""
     check(config.model, config.trainer)
-    return train_on(dataset.run(config, pool), config)
+    return train_on(dataset.run(config, session), config)
 
 
 def check(model: Model, trainer: Trainer) -> None:
@@ -185,6 +185,8 @@ def find_record(datasets_dir: Path, tracking_uri: str, model_version: str) -> Tr
             return record
     return None
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.train")

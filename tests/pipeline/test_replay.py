@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.store.rows import SCHEMA
+from pipeline.store.episode_row import SCHEMA
 from tests.pipeline.harness import Cli, Workspace
 
 TRIAL = "medium-2-000"
