@@ -275,6 +275,13 @@ class Optimality(_Section):
     worlds: int = Field(ge=2)
 
 
+class Replay(_Section):
+    """Which trial is shown, and whose episodes."""
+
+    trial_id: str | None
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
 class Cluster(_Section):
     """Where Ray runs and how much of it a run may take."""
 
@@ -323,6 +330,7 @@ class Config(_Section):
     realism: Realism
     ablation: Ablation
     optimality: Optimality
+    replay: Replay
     cluster: Cluster
     tracking: Tracking
 

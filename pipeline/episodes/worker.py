@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mrtask.analysis.bounds.assess import assess
-from mrtask.execution.episode import run_episode, warm_up
+from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import LikelihoodTable
@@ -101,14 +101,15 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed."""
+def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
+    """The row of an episode that came to an end, accepted or failed; ``observe`` is told of its decisions."""
     began_s = time.perf_counter()
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
     likelihood = context.table.matrix(home, trial.objects)
-    result = run_episode(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner))
+    home_map = bench.map_of(trial.home_id)
+    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
     return replace(
         unfinished_row(key, context, result.status, result.error),
