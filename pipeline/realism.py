@@ -47,15 +47,22 @@ def run(config: Config, pool: Pool) -> None:
             f"homes={options.source}: real homes are needed to compare with; give homes=procthor homes.files=[...] "
             "homes.assets=... or homes=procthor10k"
         )
+    if options.contents != "procthor":
+        raise UserError(
+            f"homes.contents={options.contents}: the generator is compared with homes as they come; use procthor"
+        )
     generated = GeneratedHomes(
         source="generated",
+        contents="procthor",
         seed=options.seed,
         train=options.train,
         validation=options.validation,
         test=config.realism.generated_test,
     )
     target = Folder(config.output_dir) / FOLDER
-    real_set, generated_set = (homes.make(each, config.datasets_dir, pool) for each in (options, generated))
+    real_set, generated_set = (
+        homes.make(each, config.datasets_dir, pool, config.contents) for each in (options, generated)
+    )
     compare(generated_set.houses, real_set.houses, config.map, config.seed, target, pool)
     if config.draw:
         draw(generated_set.houses, real_set.houses, config.map, config.cache_dir, target)

@@ -64,6 +64,7 @@ class _Section(BaseModel):
 
 
 class _Homes(_Section):
+    contents: Literal["procthor", "housekeep"]
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -118,13 +119,26 @@ class RosMapHomes(_Homes):
 
     def to_learn_from(self) -> GeneratedHomes:
         """The generated homes that the model learns from."""
-        shared = self.model_dump(include={"seed", "train", "validation", "test"})
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
         return GeneratedHomes(source="generated", **shared)
 
 
 HousesInFiles = ProcthorHomes | Procthor10kHomes
 Homes = GeneratedHomes | HousesInFiles | RosMapHomes
 HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
+
+
+class Contents(_Section):
+    """How contents are drawn with ``homes.contents=housekeep``."""
+
+    file: LocalPath | None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    objects: Literal["all", "train", "val", "test"]
+    splits: LocalPath | None
+    table: LocalPath | None
+    misplaced: float = Field(ge=0, le=1)
+    seed: int = Field(ge=0)
+    embedding: str = Field(min_length=1)
 
 
 class Map(_Section):
@@ -271,6 +285,7 @@ class Config(_Section):
     cache_limit_gb: float = Field(gt=0)
     map: Map
     homes: Homes = Field(discriminator="source")
+    contents: Contents
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
