@@ -33,7 +33,7 @@ from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
 from pipeline.base.config import Cluster
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, run_one, warm
+from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_one, warm
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12
@@ -96,7 +96,7 @@ def make_context(samples: int) -> Context:
         seed=0,
         trials=TrialOptions(),
         planner_options={PLANNER: {"samples": samples}},
-        provenance={"model_version": "0", "config_hash": "", "code_version": ""},
+        provenance=Provenance(model_version="0", config_hash="", code_version=""),
     )
 
 

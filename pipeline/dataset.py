@@ -15,6 +15,7 @@ from mrtask.likelihood.dataset import build_dataset, is_current, write_dataset
 from mrtask.likelihood.rows import SPLITS, label_rows, vocabulary
 from pipeline import homes
 from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import Config, content_hash
@@ -24,9 +25,9 @@ from pipeline.store.version import code_version, source_hash
 HOMES_PER_TASK = 25
 
 
-def run(config: Config, pool: Pool) -> Path:
+def run(config: Config, session: Session) -> Path:
     """The stage: the folder of the dataset of the configured homes."""
-    return build(homes.run(config, pool), config.datasets_dir, pool)
+    return build(homes.run(config, session), config.datasets_dir, session.pool)
 
 
 def build(home_set: HomeSet, datasets_dir: Path, pool: Pool) -> Path:
@@ -72,6 +73,8 @@ def _label(members: Mapping[str, Sequence[Home]], pool: Pool) -> Iterator[pd.Dat
 def _label_chunk(number: int, chunks: Sequence[Sequence[Home]], objects: tuple[str, ...]) -> pd.DataFrame:
     return pd.concat([label_rows(home, objects) for home in chunks[number]], ignore_index=True)
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.dataset")

@@ -4,129 +4,119 @@ Interrupted or run again with the same output_dir, it goes on where it stopped: 
 configuration is refused there (overwrite=true starts anew). dry_run=true says how long it would take.
 """
 
-import json
-import platform
-import statistics
+import contextlib
 import time
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import Any
 
-import psutil
-
-from mrtask.planning.planners import PLANNERS
-from pipeline import homes
-from pipeline.app import sweep
+from pipeline import homes, report
 from pipeline.app.main import main
+from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import tracking
-from pipeline.backends.pool import Outcome, Pool
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import Config, UserError
-from pipeline.episodes.plan import EPISODES, IDENTITY, MANIFEST, Evaluation, check, prepare
-from pipeline.episodes.tally import Tally
-from pipeline.episodes.worker import Context, EpisodeKey, failed_row, map_home, run_one, warm
-from pipeline.store import cache
+from pipeline.base.config import Config, Evaluation, UserError
+from pipeline.episodes.pilot import pilot
+from pipeline.episodes.plan import EvaluationPlan, check, plan_evaluation
+from pipeline.episodes.runner import map_homes, run_episodes
+from pipeline.store import cache, layout
 from pipeline.store.folder import Folder, locked
 from pipeline.store.home_set import HomeSet
+from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
+from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import EpisodeWriter, differences, read_table
-from pipeline.store.version import code_version
 from pipeline.train import find_record
 
-RUN_ID = "mlflow_run_id"
-"""File in the output folder that names the MLflow run under way, or the last one."""
-PILOT_S = 20.0
 
-
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
-    check(config)
+    check(config.evaluation)
     store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
     with locked(Folder(config.output_dir), config.cache_dir):
         model = load_model(config, store)
-        evaluate(config, pool, homes.run(config, pool), store, model)
+        evaluate(config, session, homes.run(config, session), store, model)
 
 
-def evaluate(config: Config, pool: Pool, home_set: HomeSet, store: tracking.Tracking, model: RegisteredModel) -> None:
-    """Runs the episodes that are missing in the output folder, which the caller has locked."""
-    folder, began_s, started = Folder(config.output_dir), time.monotonic(), datetime.now(UTC)
-    evaluation = prepare(config, home_set, model)
-    total, planners = len(evaluation.keys), len(config.evaluation.planners)
+def load_model(config: Config, store: tracking.Tracking) -> RegisteredModel:
+    """The configured model; for a run that is continued, the version it began with."""
+    begun = None if config.overwrite else RunIdentity.read(Folder(config.output_dir), IDENTITY)
+    uri = config.evaluation.model_uri
+    if begun is not None and uri == tracking.CHAMPION_URI:
+        uri = f"models:/{tracking.MODEL_NAME}/{begun.model_version}"
+    return tracking.load_registered(store, uri, config.cache_dir)
+
+
+def evaluate(
+    config: Config, session: Session, home_set: HomeSet, store: tracking.Tracking, model: RegisteredModel
+) -> None:
+    """Plans the evaluation and runs it in the output folder, which the caller has locked; with dry_run, a pilot."""
+    plan = plan_evaluation(config, home_set, model)
+    total, planners = len(plan.keys), len(plan.planners)
     console.headline(
         "evaluate",
         f"{total // planners} trials x {planners} planners = {total} episodes, model version {model.version}",
     )
     if config.dry_run:
-        _pilot(config, pool, evaluation)
+        pilot(plan, session.pool, config.evaluation.episode_timeout_s)
         return
-    sweep.want_report()
+    folder = Folder(config.output_dir)
     if config.overwrite:
-        for name in (EPISODES, IDENTITY, MANIFEST, "report", "stages.json"):
-            folder.remove(name)
-    _check_identity(folder, evaluation.identity)
-    writer = EpisodeWriter(folder / EPISODES, config.evaluation.rerun)
-    done = writer.finished()
-    missing = [key for key in evaluation.keys if (key.trial_id, key.planner) not in done]
-    if not missing and folder.read(MANIFEST) is not None:
+        layout.forget_episodes(folder)
+    trained = find_record(config.datasets_dir, config.tracking.uri, model.version)
+    cache.trim(config.cache_dir, config.cache_limit_gb * 2**30)
+    finish(plan, folder, config.evaluation, session, store, trained)
+
+
+def finish(
+    plan: EvaluationPlan,
+    folder: Folder,
+    options: Evaluation,
+    session: Session,
+    store: tracking.Tracking,
+    trained: TrainedModelRecord | None,
+) -> None:
+    """Runs the episodes that are missing in the folder as one MLflow run and leaves the evaluation's manifest.
+
+    Args:
+        trained: the record of the model's training, where it was trained here.
+
+    Raises:
+        UserError: the folder holds episodes of another configuration, or too many episodes fail.
+    """
+    began_s, started = time.monotonic(), datetime.now(UTC)
+    _check_identity(folder, plan.identity)
+    writer = EpisodeWriter(folder / EPISODES, options.rerun)
+    missing = plan.missing(writer.finished())
+    if not missing and EvaluationManifest.find(folder, MANIFEST) is not None:
         writer.close()
         console.skipped(folder / EPISODES)
         return
-    if done:
-        console.line(f"{total - len(missing)} episodes are there already")
-    pool.start()
-    cache.trim(config.cache_dir, config.cache_limit_gb * 2**30)
-    params = config.model_dump(mode="json", exclude={"cluster", "tracking"})
-    tags = {
-        "stage": "evaluate",
-        "model_version": model.version,
-        "output_dir": config.output_dir,
-        "code_version": code_version(),
-        "sweep": sweep.cell_text(),
-    }
-    name = sweep.short_cell_text() or f"evaluate {config.experiment}"
-    if (earlier := folder.read(RUN_ID)) is not None:
-        tracking.end_abandoned(store, earlier.decode())
-    with tracking.run(store, name, params, tags, sweep.parent_run_id()) as tracked:
-        folder.write(RUN_ID, tracked.run_id.encode())
-        reach = _map_homes(evaluation.context, pool)
-        _run_episodes(config, pool, evaluation, missing, writer)
-        manifest = _manifest(config, evaluation, reach, pool) | {
-            "started": started.isoformat(timespec="seconds"),
-            "wall_s": round(time.monotonic() - began_s, 1),
-            "run_id": tracked.run_id,
-            "sweep": sweep.cell_text(),
-        }
-        tracking.log_metrics(tracked, _metrics(folder))
-    folder.write(MANIFEST, json.dumps(manifest, indent=1, default=str).encode())
+    if len(missing) < len(plan.keys):
+        console.line(f"{len(plan.keys) - len(missing)} episodes are there already")
+    session.pool.start()
+    with _tracked(plan, folder, session.cell, store) as run:
+        reach = map_homes(plan.context, session.pool)
+        run_episodes(plan, missing, options, session.pool, writer)
+        manifest = _manifest(
+            plan, folder, trained, reach, Machine.here(session.pool.slots),
+            started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id, sweep=session.cell.text,
+        )  # fmt: skip
+        tracking.log_metrics(run, _metrics(folder / EPISODES))
+    manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
 
 
-def load_model(config: Config, store: tracking.Tracking) -> RegisteredModel:
-    """The configured model; for a run that is continued, the version it began with."""
-    uri = config.evaluation.model_uri
-    recorded = Folder(config.output_dir).read(IDENTITY)
-    if recorded is not None and uri == tracking.CHAMPION_URI and not config.overwrite:
-        uri = f"models:/{tracking.MODEL_NAME}/{json.loads(recorded)['model_version']}"
-    return tracking.load_registered(store, uri, config.cache_dir)
+def _check_identity(folder: Folder, identity: RunIdentity) -> None:
+    """Writes the identity of a run that begins; refuses to continue one of another.
 
-
-def row_of(outcome: Outcome[EpisodeKey, dict[str, Any]], context: Context) -> dict[str, Any]:
-    """An episode's row, whatever became of it."""
-    if outcome.value is not None:
-        return outcome.value | {"attempt": outcome.attempt}
-    if outcome.failure is None:
-        raise ValueError(f"{outcome.item} has neither a value nor a failure")
-    status = "timeout" if outcome.failure.kind == "timeout" else "error"
-    return failed_row(outcome.item, context, status, outcome.failure.message) | {"attempt": outcome.attempt}
-
-
-def _check_identity(folder: Folder, identity: Mapping[str, Any]) -> None:
-    recorded = folder.read(IDENTITY)
+    Raises:
+        UserError: with all that is different.
+    """
+    recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
-        folder.write(IDENTITY, json.dumps(identity, indent=1).encode())
+        identity.write(folder, IDENTITY)
         return
-    changed = list(differences(json.loads(recorded), json.loads(json.dumps(identity))))
+    changed = list(differences(recorded.content(), identity.content()))
     if changed:
         listed = "\n".join(f"  {line}" for line in changed)
         raise UserError(
@@ -135,86 +125,28 @@ def _check_identity(folder: Folder, identity: Mapping[str, Any]) -> None:
         )
 
 
-def _map_homes(context: Context, pool: Pool) -> dict[str, int]:
-    """Maps all homes into the cache; returns how many containers there are and how many can be reached."""
-    # Compiled once here, so that the workers find the kernels in numba's cache.
-    context.maps.map_of(context.homes[0])
-    reach: defaultdict[str, int] = defaultdict(int)
-    with console.Progress(len(context.homes), "homes mapped") as progress:
-        for outcome in pool.run(map_home, range(len(context.homes)), context):
-            if outcome is None:
-                continue
-            if outcome.value is None:
-                raise RuntimeError(f"home {context.homes[outcome.item].id} could not be mapped: {outcome.failure}")
-            reach["containers"] += outcome.value.containers
-            reach["reachable"] += outcome.value.reachable
-            progress.update()
-    share = reach["reachable"] / reach["containers"]
-    console.line(f"{len(context.homes)} homes mapped, {share:.2%} of their containers reachable")
-    return dict(reach)
+@contextlib.contextmanager
+def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, store: tracking.Tracking) -> Iterator[tracking.Run]:
+    """The MLflow run, in place of one that a driver which is gone has left open."""
+    params = {key: value for key, value in plan.config.items() if key not in ("cluster", "tracking")}
+    tags = {
+        "stage": "evaluate",
+        "model_version": plan.identity.model_version,
+        "output_dir": folder.location,
+        "code_version": plan.context.provenance.code_version,
+        "sweep": cell.text,
+    }
+    if (earlier := folder.read(RUN_ID)) is not None:
+        tracking.end_abandoned(store, earlier.decode())
+    name = cell.title or f"evaluate {plan.experiment}"
+    with tracking.run(store, name, params, tags, cell.parent_run_id) as run:
+        folder.write(RUN_ID, run.run_id.encode())
+        yield run
 
 
-def _run_episodes(
-    config: Config, pool: Pool, evaluation: Evaluation, missing: Sequence[EpisodeKey], writer: EpisodeWriter
-) -> None:
-    tally = Tally(config.evaluation.planners, config.evaluation.max_failed_fraction)
-    _warm_kernels(evaluation.context, missing)
-    done = len(evaluation.keys) - len(missing)
-    try:
-        with console.Progress(len(evaluation.keys), "episodes", done) as progress:
-            for outcome in pool.run(
-                run_one, missing, evaluation.context, timeout_s=config.evaluation.episode_timeout_s
-            ):
-                if outcome is None:
-                    writer.tick()
-                    progress.update(0)
-                    continue
-                row = row_of(outcome, evaluation.context)
-                writer.add(row)
-                tally.add(row)
-                progress.update(note=tally.note())
-    finally:
-        # Also on an interrupt: what is finished stays.
-        writer.close()
-
-
-def _warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
-    """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
-    for name, key in {key.planner: key for key in reversed(missing)}.items():
-        if name in PLANNERS:
-            try:
-                warm(key, context)
-            except Exception as error:  # the run goes on: its episodes will be rows of status error
-                console.line(f"{name} failed on {key.trial_id} already in the driver: {error}")
-
-
-def _pilot(config: Config, pool: Pool, evaluation: Evaluation) -> None:
-    """Times some episodes and says how long all of them would take."""
-    _warm_kernels(evaluation.context, evaluation.keys)
-    spent_s: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
-    end_s = time.monotonic() + PILOT_S
-    for outcome in pool.run(
-        run_one, evaluation.keys, evaluation.context, timeout_s=config.evaluation.episode_timeout_s
-    ):
-        if outcome is not None and outcome.value is not None:
-            row = outcome.value
-            spent_s[outcome.item.planner].append((row["planning_s"], row["wall_s"] - row["planning_s"]))
-        if time.monotonic() > end_s and len(spent_s) == len(config.evaluation.planners):
-            break
-    episodes = len(evaluation.keys) // len(config.evaluation.planners)
-    total_s = 0.0
-    for planner, pairs in spent_s.items():
-        planning_s, other_s = zip(*pairs, strict=True)
-        # The first to come to a home map it, which is no part of what most episodes take: hence the median.
-        mean_s = statistics.fmean(planning_s) + statistics.median(other_s)
-        total_s += mean_s * episodes / pool.slots
-        console.line(f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}")
-    console.line(f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)")
-
-
-def _metrics(folder: Folder) -> dict[str, float]:
+def _metrics(episodes: Folder) -> dict[str, float]:
     """Mean cost and accepted share by planner and cell, for MLflow."""
-    rows = read_table(folder / EPISODES, ["planner", "size_class", "robots", "status", "cost_cells"]).to_pandas()
+    rows = read_table(episodes, ["planner", "size_class", "robots", "status", "cost_cells"]).to_pandas()
     metrics = {}
     for (planner, size_class, robots), cell in rows.groupby(["planner", "size_class", "robots"]):
         name = f"{planner.rsplit('.', 1)[-1]}/{size_class}_{robots}"
@@ -223,37 +155,45 @@ def _metrics(folder: Folder) -> dict[str, float]:
     return metrics
 
 
-def _manifest(config: Config, evaluation: Evaluation, reach: Mapping[str, int], pool: Pool) -> dict[str, Any]:
-    """What the report needs to know about the run."""
-    context = evaluation.context
-    version = context.provenance["model_version"]
-    trained = find_record(config.datasets_dir, config.tracking.uri, version)
-    peaks_mb = read_table(Folder(config.output_dir) / EPISODES, ["peak_memory_mb"]).to_pandas()["peak_memory_mb"]
-    return {
-        "experiment": config.experiment,
-        "seed": config.seed,
-        "output_dir": config.output_dir,
-        "planners": list(config.evaluation.planners),
-        "planner_options": context.planner_options,
-        "expected_episodes": len(evaluation.keys),
-        "config": config.model_dump(mode="json"),
-        **context.provenance,
-        "model": trained.facts() if trained else {"name": tracking.MODEL_NAME, "version": version},
-        "homes": {
-            **evaluation.homes_facts,
-            "training": trained.training_homes if trained else None,
-            "containers": reach["containers"],
-            "reachable_share": reach["reachable"] / reach["containers"],
-        },
-        "machine": {
-            "cpus": pool.slots,
-            "memory_gb": round(psutil.virtual_memory().total / 2**30, 1),
-            "platform": platform.platform(),
-            "python": platform.python_version(),
-        },
-        "peak_memory_mb": round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,
-    }
+def _manifest(
+    plan: EvaluationPlan,
+    folder: Folder,
+    trained: TrainedModelRecord | None,
+    reach: Reach,
+    machine: Machine,
+    *,
+    started: datetime,
+    wall_s: float,
+    run_id: str,
+    sweep: str,
+) -> EvaluationManifest:
+    made_by = plan.context.provenance
+    peaks_mb = read_table(folder / EPISODES, ["peak_memory_mb"]).to_pandas()["peak_memory_mb"]
+    return EvaluationManifest(
+        experiment=plan.experiment,
+        seed=plan.context.seed,
+        output_dir=folder.location,
+        planners=plan.planners,
+        planner_options=plan.context.planner_options,
+        expected_episodes=len(plan.keys),
+        config=plan.config,
+        model_version=made_by.model_version,
+        config_hash=made_by.config_hash,
+        code_version=made_by.code_version,
+        model=trained,
+        model_name=tracking.MODEL_NAME,
+        homes=plan.homes,
+        reach=reach,
+        machine=machine,
+        peak_memory_mb=round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,
+        started=started.isoformat(timespec="seconds"),
+        wall_s=round(wall_s, 1),
+        run_id=run_id,
+        sweep=sweep,
+    )
 
+
+STAGE = Stage(run, compare_cells=report.compare_cells)
 
 if __name__ == "__main__":
     main("pipeline.evaluate")

@@ -28,6 +28,7 @@ from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.sources import hash_module
 from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import (
@@ -55,6 +56,7 @@ from pipeline.store.home_files import (
     say_faults,
 )
 from pipeline.store.home_set import HomeSet
+from pipeline.store.layout import HOMES
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
 from pipeline.store.voted_contents import say_match, voted_contents
@@ -66,12 +68,12 @@ FAULTS_LISTED = 20
 PROCTHOR_10K_ASSETS = "asset-database.json"
 
 
-def run(config: Config, pool: Pool) -> HomeSet:
+def run(config: Config, session: Session) -> HomeSet:
     """The stage: the homes, and with ``draw=true`` floor plans of some in ``<output_dir>/homes``."""
-    home_set = make(config.homes, config.datasets_dir, pool, config.contents)
+    home_set = make(config.homes, config.datasets_dir, session.pool, config.contents)
     if config.draw:
         drawn = home_set.instead_of_test or home_set.houses
-        draw(drawn, config.homes.source, config.map, config.cache_dir, Folder(config.output_dir) / "homes")
+        draw(drawn, config.homes.source, config.map, config.cache_dir, Folder(config.output_dir) / HOMES)
     return home_set
 
 
@@ -260,6 +262,8 @@ def save_figure(figure: Figure, folder: Path, name: str, dpi: int) -> None:
     for kind in ("png", "svg"):
         figure.savefig(folder / f"{name}.{kind}", dpi=dpi)
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.homes")

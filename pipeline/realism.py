@@ -8,12 +8,9 @@ draw=true also a gallery of both.
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
-from omegaconf import OmegaConf
-from pydantic import TypeAdapter
 
 from mrtask.analysis.floor_plans import draw_gallery
 from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
@@ -23,15 +20,16 @@ from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import score, train_model
 from mrtask.maps.home_map import build_map
 from pipeline import dataset, homes
-from pipeline.app.main import CONF_DIR, main
+from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, GeneratedHomes, Map, Model, Procthor10kHomes, ProcthorHomes, UserError
+from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
-from pipeline.train import training_options
+from pipeline.store.layout import REALISM
+from pipeline.train import preset_options
 
-FOLDER = "realism"
 HOMES_TABLE, TRANSFER_TABLE = "homes.csv", "transfer.csv"
 METRICS = ("roc_auc", "log_loss", "best_log_loss")
 HOMES_PER_TASK = 10
@@ -39,7 +37,7 @@ ROUNDED = "{:.3f}".format
 ROUNDED_METRIC = "{:.4f}".format
 
 
-def run(config: Config, pool: Pool) -> None:
+def run(config: Config, session: Session) -> None:
     """The stage."""
     options = config.homes
     if not isinstance(options, ProcthorHomes | Procthor10kHomes):
@@ -59,19 +57,18 @@ def run(config: Config, pool: Pool) -> None:
         validation=options.validation,
         test=config.realism.generated_test,
     )
-    target = Folder(config.output_dir) / FOLDER
+    target = Folder(config.output_dir) / REALISM
     real_set, generated_set = (
-        homes.make(each, config.datasets_dir, pool, config.contents) for each in (options, generated)
+        homes.make(each, config.datasets_dir, session.pool, config.contents) for each in (options, generated)
     )
-    compare(generated_set.houses, real_set.houses, config.map, config.seed, target, pool)
+    compare(generated_set.houses, real_set.houses, config.map, config.seed, target, session.pool)
     if config.draw:
         draw(generated_set.houses, real_set.houses, config.map, config.cache_dir, target)
     if config.realism.models:
-        ours, theirs = (
-            read_dataset(dataset.build(home_set, config.datasets_dir, pool)) for home_set in (generated_set, real_set)
-        )
+        folders = [dataset.build(each, config.datasets_dir, session.pool) for each in (generated_set, real_set)]
+        ours, theirs = map(read_dataset, folders)
         options_by_kind: dict[str, TrainingOptions] = {
-            kind: _training_options(config, kind) for kind in config.realism.models
+            kind: preset_options(config, kind) for kind in config.realism.models
         }
         transfer(ours, theirs, options_by_kind, target)
 
@@ -134,21 +131,12 @@ def _describe_chunk(number: int, chunks: Sequence[Sequence[Home]], map_options: 
     return [describe_home(home, build_map(home, resolution_m, radius_m)) for home in chunks[number]]
 
 
-def _training_options(config: Config, kind: str) -> TrainingOptions:
-    """The options of a kind's own preset, on the configured embedding; a comparison leaves no checkpoints."""
-    preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
-    model = TypeAdapter[Model](Model).validate_python(preset)
-    given = config.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
-    return replace(
-        training_options(model.model_copy(update=given), config.trainer, config.seed, config.cache_dir),
-        checkpoint_dir=None,
-    )
-
-
 def _say(table: str) -> None:
     for line in table.splitlines():
         console.line(line)
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.realism")

@@ -7,8 +7,12 @@ beating the present champion. A model is trained again only when dataset, model,
 import shutil
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from omegaconf import OmegaConf
+from pydantic import TypeAdapter
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.embeddings import check_embedding
@@ -16,9 +20,9 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOptions
 from mrtask.likelihood.training import TrainedModel, score, train_model
 from pipeline import dataset
-from pipeline.app.main import main
+from pipeline.app.main import CONF_DIR, main
+from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
-from pipeline.backends.pool import Pool
 from pipeline.backends.tracking import ChampionError
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, Frequency, Model, Network, Tracking, Trainer, content_hash
@@ -29,10 +33,10 @@ from pipeline.store.version import code_version, source_hash
 SHOWN_METRICS = ("log_loss", "roc_auc")
 
 
-def run(config: Config, pool: Pool) -> TrainedModelRecord:
+def run(config: Config, session: Session) -> TrainedModelRecord:
     """The stage: the record of the trained model."""
     check(config.model, config.trainer)
-    return train_on(dataset.run(config, pool), config)
+    return train_on(dataset.run(config, session), config)
 
 
 def check(model: Model, trainer: Trainer) -> None:
@@ -135,6 +139,17 @@ def training_options(model: Model, trainer: Trainer, seed: int, cache_dir: Path)
     )
 
 
+def preset_options(config: Config, kind: str) -> TrainingOptions:
+    """The options of a kind's own preset, on the configured embedding; a comparison leaves no checkpoints."""
+    preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
+    model = TypeAdapter[Model](Model).validate_python(preset)
+    given = config.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
+    return replace(
+        training_options(model.model_copy(update=given), config.trainer, config.seed, config.cache_dir),
+        checkpoint_dir=None,
+    )
+
+
 def _registered(store: tracking.Tracking, version: str) -> bool:
     try:
         tracking.load_registered(store, f"models:/{tracking.MODEL_NAME}/{version}")
@@ -185,6 +200,8 @@ def find_record(datasets_dir: Path, tracking_uri: str, model_version: str) -> Tr
             return record
     return None
 
+
+STAGE = Stage(run)
 
 if __name__ == "__main__":
     main("pipeline.train")

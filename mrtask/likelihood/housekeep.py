@@ -2,8 +2,8 @@
 
 The measure (Kant et al., ECCV 2022): for each object and room, the receptacles of the room are ranked by the model. One
 is right when more than half of the people called it so. The score is the mean, over the pairs of object and room that
-have a right receptacle, of the ranking's average precision. Published and recomputed figures leave out one object of the
-test split, the guitar.
+have a right receptacle, of the ranking's average precision. Published and recomputed figures leave out one object of
+the test split, the guitar.
 """
 
 from collections.abc import Mapping

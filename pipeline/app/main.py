@@ -17,13 +17,13 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.errors import InputError
 from mrtask.files import default_cache_dir
 from pipeline.app import sweep
+from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
@@ -34,7 +34,7 @@ USER_ERROR_EXIT = 2
 
 
 def main(module_name: str) -> None:
-    """Runs the module's ``run(config, workers)`` with the configuration from the command line."""
+    """Runs the module's ``STAGE`` with the configuration from the command line."""
     _prepare_process(module_name)
     try:
         with interrupt.remembered():
@@ -42,7 +42,8 @@ def main(module_name: str) -> None:
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(_fail(error))
     except KeyboardInterrupt as stop:
-        sweep.interrupted(stop)
+        if running := sweep.under_way():
+            running.interrupted(stop)
         print(interrupt.MESSAGE, file=sys.stderr)
         sys.exit(interrupt.INTERRUPT_EXIT)
 
@@ -75,13 +76,15 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
     def task(composed: DictConfig) -> None:
         try:
             config = schema.load(composed)
-            if HydraConfig.get().mode == RunMode.MULTIRUN:
-                config = sweep.enter_cell(config, list(HydraConfig.get().overrides.task))
             # Imported by name also when it is __main__, so that what it sends to workers is found there.
-            importlib.import_module(module_name).run(config, workers.of(config.cluster))
+            stage: Stage = importlib.import_module(module_name).STAGE
+            pool = workers.of(config.cluster)
+            if running := sweep.under_way():
+                running.run_cell(stage, config, HydraConfig.get().overrides.task, pool)
+            else:
+                stage.run(config, Session(pool))
         except InputError as error:
-            if not sweep.note_failure(error):
-                sys.exit(_fail(error))
+            sys.exit(_fail(error))
 
     return task
 

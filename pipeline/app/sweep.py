@@ -1,7 +1,7 @@
 """Sweeps (``-m``): all cells are checked before the first one starts, each has its own folder and MLflow child run.
 
 A cell's results are in ``<output_dir>/cells/<what was swept>``; the report of ``<output_dir>`` compares the cells.
-Hydra runs the cells one after the other in this process, so the state of the sweep under way is kept here.
+Hydra runs the cells one after the other in this process.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import re
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,81 +21,77 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from mrtask.errors import InputError
+from pipeline.app.stage import Cell, Session, Stage
+from pipeline.backends import tracking
+from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import console
 from pipeline.base.config import Config, UserError
+from pipeline.store.layout import CELLS
 
-CELLS = "cells"
 LONGEST_NAME = 120
 CONFIG_NAME = "config"
 
 
 @dataclass
-class _Sweep:
+class Sweep:
     """The sweep under way."""
 
     swept: frozenset[str]
     config: Config
+    """Its own: the output folder is that of the whole sweep."""
     cells: int
-    cell: str = ""
-    wants_report: bool = False
+    compare_cells: Callable[[Config, str | None], object] | None = None
+    """What its end calls; set by the first cell that leaves something to compare."""
     started: int = 0
     failed: list[str] = field(default_factory=list)
     parent_run_id: str | None = None
     cleanup: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
+    def run_cell(self, stage: Stage, config: Config, overrides: Sequence[str], pool: Pool) -> None:
+        """Runs the stage in the cell's own output folder; a mistake of the user's is noted, so that other cells run."""
+        self.started += 1
+        text = _text(overrides, self.swept)
+        console.headline(f"cell {self.started}/{self.cells}", text)
+        cell = Cell(text, _without_groups(text, self.swept), self.parent_run_id)
+        try:
+            own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
+            stage.run(config.model_copy(update=own_folder), Session(pool, cell))
+        except InputError as error:
+            self.failed.append(f"{text}: {error}")
+            print(f"error: {error}", file=sys.stderr)
+        else:
+            if not config.dry_run:
+                self.compare_cells = stage.compare_cells
 
-_sweep: _Sweep | None = None
+    def end(self) -> None:
+        """Compares the cells, and says which failed."""
+        if self.compare_cells is not None:
+            self.compare_cells(self.config, self.parent_run_id)
+        self.cleanup.close()
+        if self.failed:
+            headline = f"error: {len(self.failed)} of {self.cells} cells failed:"
+            print("\n".join([headline, *self.failed]), file=sys.stderr)
+            sys.exit(2)
+
+    def interrupted(self, error: BaseException) -> None:
+        """Marks the sweep's MLflow run as killed."""
+        self.cleanup.__exit__(type(error), error, error.__traceback__)
+
+
+_sweep: Sweep | None = None
+"""Hydra makes the callback itself and calls it and the cells apart from each other; here they find the same sweep."""
+
+
+def under_way() -> Sweep | None:
+    """The sweep that this process runs; None where it runs a stage once."""
+    return _sweep
 
 
 def sweep_dir(output_dir: str) -> str:
     """Where Hydra leaves its record of the sweep: in a local output_dir, else out of the way."""
     return tempfile.gettempdir() if "://" in output_dir else output_dir
-
-
-def cell_text() -> str:
-    """What the cell under way has of the swept values: ``planner.pouct.samples=100``; empty outside sweeps."""
-    return _sweep.cell if _sweep else ""
-
-
-def short_cell_text() -> str:
-    """The same without the keys' groups, ``samples=100``, where that is as clear: lists show names cut off."""
-    if not _sweep:
-        return ""
-    short = {key: key.rpartition(".")[2] for key in _sweep.swept}
-    if len(set(short.values())) < len(short):
-        return _sweep.cell
-    return re.sub(r"[\w.+]+(?==)", lambda key: short.get(key[0], key[0]), _sweep.cell)
-
-
-def parent_run_id() -> str | None:
-    """The MLflow run of the sweep under way."""
-    return _sweep.parent_run_id if _sweep else None
-
-
-def enter_cell(config: Config, overrides: Sequence[str]) -> Config:
-    """The configuration of the cell that starts now, with its own output folder."""
-    if _sweep is None:
-        return config
-    _sweep.started += 1
-    _sweep.cell = _text(overrides, _sweep.swept)
-    console.headline(f"cell {_sweep.started}/{_sweep.cells}", _sweep.cell)
-    return config.model_copy(update={"output_dir": _cell_dir(config.output_dir, _sweep.cell)})
-
-
-def want_report() -> None:
-    """Said by a stage that has written episodes: at its end, the sweep compares its cells."""
-    if _sweep is not None:
-        _sweep.wants_report = True
-
-
-def note_failure(error: Exception) -> bool:
-    """In a sweep, takes note of a cell's mistake so that the others still run; else False."""
-    if _sweep is None:
-        return False
-    _sweep.failed.append(f"{_sweep.cell}: {error}")
-    print(f"error: {error}", file=sys.stderr)
-    return True
 
 
 class SweepCallback(Callback):
@@ -111,13 +107,7 @@ class SweepCallback(Callback):
         """Compares the cells."""
         if _sweep is not None:
             with _errors_end_the_process():
-                _close(_sweep)
-
-
-def interrupted(error: BaseException) -> None:
-    """Marks the sweep's MLflow run as killed."""
-    if _sweep is not None:
-        _sweep.cleanup.__exit__(type(error), error, error.__traceback__)
+                _sweep.end()
 
 
 @contextlib.contextmanager
@@ -125,7 +115,7 @@ def _errors_end_the_process() -> Iterator[None]:
     """Hydra turns a callback's exceptions into warnings and goes on; but for `SystemExit`."""
     try:
         yield
-    except UserError as error:
+    except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except Exception:
@@ -133,7 +123,12 @@ def _errors_end_the_process() -> Iterator[None]:
         sys.exit(1)
 
 
-def _open(overrides: list[str]) -> _Sweep:
+def _open(overrides: list[str]) -> Sweep:
+    """Checks every cell before any starts, and begins the MLflow run that is above those of the cells.
+
+    Raises:
+        UserError: with what is wrong with each cell.
+    """
     loader = GlobalHydra.instance().config_loader()
     parsed = OverridesParser.create(config_loader=loader).parse_overrides(overrides)
     swept = frozenset(one.get_key_element() for one in parsed if one.is_sweep_override())
@@ -148,11 +143,9 @@ def _open(overrides: list[str]) -> _Sweep:
             problems.append(f"cell {_text(cell, swept)}: {error}")
     if problems:
         raise UserError("\n".join(["the sweep does not start:", *dict.fromkeys(problems)]))
-    opened = _Sweep(swept, configs[0], len(batch))
+    opened = Sweep(swept, configs[0], len(batch))
     console.headline("sweep", f"{len(batch)} cells over {', '.join(sorted(swept)) or 'nothing'}")
     if not opened.config.dry_run:
-        from pipeline.backends import tracking
-
         store = tracking.open_tracking(opened.config.tracking.uri, opened.config.tracking.experiment_name)
         tags = {"stage": "sweep", "output_dir": opened.config.output_dir}
         run = tracking.run(store, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
@@ -160,20 +153,15 @@ def _open(overrides: list[str]) -> _Sweep:
     return opened
 
 
-def _close(sweep: _Sweep) -> None:
-    from pipeline import report
-
-    failed = sweep.failed
-    if sweep.wants_report and len(failed) < sweep.started:
-        report.report(sweep.config, sweep.parent_run_id)
-    sweep.cleanup.close()
-    if failed:
-        print("\n".join([f"error: {len(failed)} of {sweep.cells} cells failed:", *failed]), file=sys.stderr)
-        sys.exit(2)
-
-
 def _text(overrides: Sequence[str], swept: frozenset[str]) -> str:
     return ",".join(one for one in overrides if one.partition("=")[0] in swept)
+
+
+def _without_groups(text: str, swept: frozenset[str]) -> str:
+    short = {key: key.rpartition(".")[2] for key in swept}
+    if len(set(short.values())) < len(short):
+        return text
+    return re.sub(r"[\w.+]+(?==)", lambda key: short.get(key[0], key[0]), text)
 
 
 def _cell_dir(output_dir: str, text: str) -> str:

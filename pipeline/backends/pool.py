@@ -132,7 +132,7 @@ class Pool:
             ray.shutdown()
 
     def start(self) -> None:
-        """Connects now, so that a cluster that cannot be used is told before there is anything to undo."""
+        """Connects now, so that a cluster that cannot be used is reported before there is anything to undo."""
         _ = self.slots
 
     @property

@@ -245,6 +245,18 @@ class Realism(_Section):
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
+TrainedOn = Literal["human", "homes", "both"]
+
+
+class Housekeep(_Section):
+    """Which models are measured on the votes of people, and what each is trained on."""
+
+    models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trained_on: Annotated[
+        tuple[TrainedOn, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+
+
 class Cluster(_Section):
     """Where Ray runs and how much of it a run may take."""
 
@@ -291,6 +303,7 @@ class Config(_Section):
     planner: dict[str, dict[str, Any]]
     evaluation: Evaluation
     realism: Realism
+    housekeep: Housekeep
     cluster: Cluster
     tracking: Tracking
 

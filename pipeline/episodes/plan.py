@@ -1,6 +1,6 @@
 """What an evaluation consists of: its episodes, what they share, and the identity that its rows carry."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +10,14 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.table import build_table
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, content_hash
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, formula_objects
+from pipeline.base.config import Config, Evaluation, EvaluationHomes, UserError, content_hash
+from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, formula_objects
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
+from pipeline.store.records import EvaluatedHomes, RunIdentity
+from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
 
-EPISODES = "episodes"
-MANIFEST = "evaluation.json"
-IDENTITY = "run.json"
 RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
 """The library packages whose code decides what an episode's row says."""
 WITHOUT_EFFECT = {"homes", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
@@ -26,46 +25,44 @@ WITHOUT_EFFECT = {"homes", "model_uri", "episode_timeout_s", "max_failed_fractio
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EvaluationPlan:
     """The episodes, all that they share, and where their homes came from."""
 
     keys: tuple[EpisodeKey, ...]
     context: Context
-    identity: Mapping[str, Any]
-    homes_facts: Mapping[str, Any]
+    identity: RunIdentity
+    homes: EvaluatedHomes
+    experiment: str
+    config: Mapping[str, Any]
+    """The whole configuration as plain data, to be recorded."""
+
+    @property
+    def planners(self) -> tuple[str, ...]:
+        """The planners that are compared."""
+        return tuple(self.context.planner_options)
+
+    def missing(self, finished: Collection[Key]) -> list[EpisodeKey]:
+        """The episodes that are not finished yet."""
+        return [key for key in self.keys if (key.trial_id, key.planner) not in finished]
 
 
-def check(config: Config) -> None:
+def check(options: Evaluation) -> None:
     """Refuses what can be refused before any work: the formula and the files."""
-    options = config.evaluation
     if options.formula is not None:
         formula_objects(options.formula)
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 
 
-def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evaluation:
-    """Homes, trials and likelihoods of the evaluation; homes that the model was trained on are left out.
+def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -> EvaluationPlan:
+    """The configured evaluation on homes that the model has not seen.
 
     Raises:
         UserError: a size class has no home.
     """
     options = config.evaluation
-    found, facts = _evaluation_homes(config, home_set)
-    unseen = tuple(home for home in found if home.id not in model.training_homes)
-    if len(unseen) < len(found):
-        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
-    counts = count_by_size_class(unseen)
-    empty = [name for name in options.size_classes if not counts[name]]
-    size_classes = tuple(name for name in options.size_classes if counts[name])
-    if empty and size_classes and facts["source"] == "ros_map":  # a map has the size that it has
-        console.line(f"no {' and no '.join(empty)} map: trials on {', '.join(size_classes)} only")
-    elif empty:
-        have = ", ".join(f"{count} {name}" for name, count in counts.items())
-        raise UserError(
-            f"no {' and no '.join(empty)} home to evaluate on ({have}); "
-            "give more homes (homes.test, evaluation.homes.files) or other evaluation.size_classes"
-        )
+    unseen, homes = _unseen_homes(options.homes, config.homes.source, home_set, model)
+    size_classes = _size_classes(options.size_classes, homes)
     identity = _identity(config, model, unseen)
     objects = formula_objects(options.formula) if options.formula is not None else ()
     context = Context(
@@ -80,23 +77,20 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
             robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
         ),
         planner_options={name: config.planner_options(name) for name in options.planners},
-        provenance={
-            "model_version": model.version,
-            "config_hash": content_hash(identity),
-            "code_version": code_version(),
-        },
+        provenance=Provenance(model.version, identity.config_hash, code_version()),
     )
-    facts |= {
-        "read": len(found),
-        "evaluated": len(unseen),
-        "by_size_class": counts,
-    }
-    return Evaluation(episode_keys(config, size_classes), context, identity, facts)
+    return EvaluationPlan(
+        keys=episode_keys(options, size_classes),
+        context=context,
+        identity=identity,
+        homes=homes,
+        experiment=config.experiment,
+        config=config.model_dump(mode="json"),
+    )
 
 
-def episode_keys(config: Config, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
+def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
     """All episodes; cells take turns, so that what is done at any time is a fair sample of the whole."""
-    options = config.evaluation
     return tuple(
         EpisodeKey(size_class, robots, number, planner)
         for number in range(options.trials_per_cell)
@@ -106,29 +100,52 @@ def episode_keys(config: Config, size_classes: Sequence[str]) -> tuple[EpisodeKe
     )
 
 
-def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> dict[str, Any]:
-    """Everything that decides what the rows say; rows of different identities are never mixed in one folder."""
-    options = config.evaluation
-    return {
-        "seed": config.seed,
-        "map": config.map.model_dump(mode="json"),
-        "homes": config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
-        "evaluation": options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
-        "evaluated_homes": content_hash(sorted(home.id for home in evaluated)),
-        "planner": {name: config.planner_options(name) for name in options.planners},
-        "model_version": model.version,
-        "code": source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
-    }
-
-
-def _evaluation_homes(config: Config, home_set: HomeSet) -> tuple[tuple[Home, ...], dict[str, Any]]:
-    given = config.evaluation.homes
-    where, found = home_set.evaluation_homes(given)
+def _unseen_homes(
+    given: EvaluationHomes, set_source: str, home_set: HomeSet, model: RegisteredModel
+) -> tuple[tuple[Home, ...], EvaluatedHomes]:
+    """The homes to evaluate on without those that the model was trained on, and where they are from."""
+    read_from, found = home_set.evaluation_homes(given)
     if given.files:
-        say_faults(where)
-    return found, {
-        "source": "procthor" if given.files else config.homes.source,
-        "files": [str(path) for path in where.paths],
-        "skipped": len(where.faults()),
-        "read_from": where.model_dump(mode="json"),
-    }
+        say_faults(read_from)
+    unseen = tuple(home for home in found if home.id not in model.training_homes)
+    if len(unseen) < len(found):
+        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
+    return unseen, EvaluatedHomes(
+        source="procthor" if given.files else set_source,
+        files=read_from.paths,
+        read_from=read_from,
+        skipped=len(read_from.faults()),
+        read=len(found),
+        evaluated=len(unseen),
+        by_size_class=count_by_size_class(unseen),
+    )
+
+
+def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...]:
+    """The size classes that are asked for; of a map, which has the size that it has, those that there are."""
+    counts = homes.by_size_class
+    empty = [name for name in asked if not counts[name]]
+    size_classes = tuple(name for name in asked if counts[name])
+    if empty and size_classes and homes.read_from.kind == "maps":
+        console.line(f"no {' and no '.join(empty)} map: trials on {', '.join(size_classes)} only")
+    elif empty:
+        have = ", ".join(f"{count} {name}" for name, count in counts.items())
+        raise UserError(
+            f"no {' and no '.join(empty)} home to evaluate on ({have}); "
+            "give more homes (homes.test, evaluation.homes.files) or other evaluation.size_classes"
+        )
+    return size_classes
+
+
+def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> RunIdentity:
+    options = config.evaluation
+    return RunIdentity(
+        seed=config.seed,
+        map=config.map,
+        homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
+        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
+        evaluated_homes=content_hash(sorted(home.id for home in evaluated)),
+        planner={name: config.planner_options(name) for name in options.planners},
+        model_version=model.version,
+        code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
+    )

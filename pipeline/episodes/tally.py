@@ -1,11 +1,11 @@
 """What the progress line says about the episodes so far, and when too many of them fail."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from mrtask.planning.planners import Role, planners_with_role
 from pipeline.base.config import UserError
+from pipeline.store.episode_row import EpisodeRow
 
 BASELINE = planners_with_role(Role.BASELINE)[0]
 PLANNER = planners_with_role(Role.OURS)[0]
@@ -23,25 +23,25 @@ class Tally:
         self._sums_s = dict.fromkeys(self._pair, 0.0)
         self._episodes = self._failed = 0
 
-    def add(self, row: Mapping[str, Any]) -> None:
+    def add(self, row: EpisodeRow) -> None:
         """Counts a row.
 
         Raises:
             UserError: more episodes than allowed ended with an exception or a timeout.
         """
         self._episodes += 1
-        if row["status"] in ("error", "timeout"):
+        if row.status in ("error", "timeout"):
             self._failed += 1
             if self._episodes >= MIN_EPISODES_TO_JUDGE and self._failed > self._max_failed_fraction * self._episodes:
                 raise UserError(
                     f"{self._failed} of {self._episodes} episodes failed, more than evaluation.max_failed_fraction="
-                    f"{self._max_failed_fraction:g}; the rows so far are kept. The last one said:\n{row['error']}"
+                    f"{self._max_failed_fraction:g}; the rows so far are kept. The last one said:\n{row.error}"
                 )
-        elif row["planner"] in self._sums_s and row["status"] == "accepted":
-            costs_s = self._costs_s[row["trial_id"]]
-            costs_s[row["planner"]] = row["cost_s"]
+        elif row.planner in self._sums_s and row.cost_s is not None:
+            costs_s = self._costs_s[row.trial_id]
+            costs_s[row.planner] = row.cost_s
             if len(costs_s) == len(self._sums_s):
-                for name, cost_s in self._costs_s.pop(row["trial_id"]).items():
+                for name, cost_s in self._costs_s.pop(row.trial_id).items():
                     self._sums_s[name] += cost_s
 
     def note(self) -> str:

@@ -7,18 +7,19 @@ find it ready.
 import resource
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mrtask.execution.episode import EpisodeResult, run_episode, warm_up
+from mrtask.execution.episode import run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
+from pipeline.store.episode_row import EpisodeRow
 
 MAPS_KEPT = 8
 TRIALS_KEPT = 64
@@ -52,6 +53,15 @@ class MapOptions:
         return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m)
 
 
+@dataclass(frozen=True)
+class Provenance:
+    """What made a row; each of its fields is a column."""
+
+    model_version: str
+    config_hash: str
+    code_version: str
+
+
 @dataclass(frozen=True, eq=False)
 class Context:
     """What all episodes of an evaluation share; sent to each worker once."""
@@ -62,8 +72,7 @@ class Context:
     seed: int
     trials: TrialOptions
     planner_options: Mapping[str, Mapping[str, Any]]
-    provenance: Mapping[str, str]
-    """The row's ``model_version``, ``config_hash`` and ``code_version``."""
+    provenance: Provenance
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,7 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
+def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
     """The row of an episode that came to an end, accepted or failed."""
     began_s = time.perf_counter()
     bench = _bench(context)
@@ -93,10 +102,26 @@ def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
     result = run_episode(
         trial, home, bench.map_of(trial.home_id), likelihood, key.planner, context.planner_options.get(key.planner, {})
     )
-    return _row(key, trial, home, result, context) | {
-        "wall_s": time.perf_counter() - began_s,
-        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    }
+    start_x_m, start_y_m = result.trace.start
+    return replace(
+        unfinished_row(key, context, result.status, result.error),
+        home_id=home.id,
+        home_source=home.source,
+        template=trial.template,
+        formula=trial.formula,
+        objects=trial.objects,
+        cost_s=result.cost_s,
+        cost_cells=result.cost_cells,
+        decisions=result.decisions,
+        planning_s=result.planning_s,
+        samples=result.samples,
+        seed=trial.seed,
+        start_x_m=start_x_m,
+        start_y_m=start_y_m,
+        trace=result.trace.to_json(),
+        wall_s=time.perf_counter() - began_s,
+        peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    )
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
@@ -109,17 +134,20 @@ def warm(key: EpisodeKey, context: Context) -> None:
     warm_up(trial, home, home_map, likelihood, key.planner, options)
 
 
-def failed_row(key: EpisodeKey, context: Context, status: str, error: str) -> dict[str, Any]:
-    """The row of an episode that never came to an end; made in the driver, without its home's map."""
-    return {
-        "trial_id": key.trial_id,
-        "size_class": key.size_class,
-        "robots": key.robots,
-        "planner": key.planner,
-        "status": status,
-        "error": error,
-        **context.provenance,
-    }
+def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
+    """The row of an episode of which nothing more is known; all that it takes is there in the driver too."""
+    made_by = context.provenance
+    return EpisodeRow(
+        trial_id=key.trial_id,
+        size_class=key.size_class,
+        robots=key.robots,
+        planner=key.planner,
+        status=status,
+        error=error,
+        model_version=made_by.model_version,
+        config_hash=made_by.config_hash,
+        code_version=made_by.code_version,
+    )
 
 
 class _Bench:
@@ -152,32 +180,6 @@ class _Bench:
 @lru_cache(maxsize=1)
 def _bench(context: Context) -> _Bench:
     return _Bench(context)
-
-
-def _row(key: EpisodeKey, trial: Trial, home: Home, result: EpisodeResult, context: Context) -> dict[str, Any]:
-    return {
-        "trial_id": key.trial_id,
-        "home_id": home.id,
-        "home_source": home.source,
-        "size_class": trial.size_class,
-        "robots": trial.team.robots,
-        "template": trial.template,
-        "formula": trial.formula,
-        "objects": list(trial.objects),
-        "planner": key.planner,
-        "status": result.status,
-        "cost_s": result.cost_s,
-        "cost_cells": result.cost_cells,
-        "decisions": result.decisions,
-        "planning_s": result.planning_s,
-        "samples": result.samples,
-        "seed": trial.seed,
-        "error": result.error,
-        "start_x_m": result.trace.start[0],
-        "start_y_m": result.trace.start[1],
-        "trace": result.trace.to_json(),
-        **context.provenance,
-    }
 
 
 def formula_objects(formula: str) -> tuple[str, ...]:

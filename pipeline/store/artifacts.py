@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pipeline.base.config import UserError
-from pipeline.store.records import Record
+from pipeline.store.records import Record, RecordError
 
 MANIFEST = "manifest.json"
 
@@ -27,7 +27,7 @@ def find_manifest(folder: Path, kind: type[R]) -> R | None:
         return None
     try:
         return kind.from_json(path.read_bytes(), str(path))
-    except UserError:
+    except RecordError:
         return None
 
 

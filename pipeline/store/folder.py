@@ -61,7 +61,7 @@ class Folder:
         return filesystem, str(path).rstrip("/")
 
     @contextmanager
-    def _told(self, problem: str, advice: str) -> Iterator[None]:
+    def _errors_explained(self, problem: str, advice: str) -> Iterator[None]:
         """Passes on as `UserError` what a file system or a store says, of which each has exceptions of its own."""
         try:
             yield
@@ -81,7 +81,7 @@ class Folder:
         """
         filesystem, path = self._filesystem()
         advice = "; make room or give another place by output_dir=..., then run the same command again to continue"
-        with self._told(f"cannot write {self.location}/{name}", advice):
+        with self._errors_explained(f"cannot write {self.location}/{name}", advice):
             if not self.is_local:
                 if self.location.partition("://")[0] not in OBJECT_STORES:
                     filesystem.makedirs(path, exist_ok=True)
@@ -98,7 +98,7 @@ class Folder:
     def read(self, name: str) -> bytes | None:
         """A file's content, None where there is no such file."""
         filesystem, path = self._filesystem()
-        with self._told(f"cannot read {self.location}/{name}", ""):
+        with self._errors_explained(f"cannot read {self.location}/{name}", ""):
             try:
                 content: bytes = filesystem.cat_file(f"{path}/{name}")
             except (FileNotFoundError, NotADirectoryError):
@@ -108,7 +108,7 @@ class Folder:
     def names(self) -> list[str]:
         """The names of the files and folders here, sorted; none where the folder is missing."""
         filesystem, path = self._filesystem()
-        with self._told(f"cannot list {self.location}", ""):
+        with self._errors_explained(f"cannot list {self.location}", ""):
             try:
                 return sorted(Path(entry).name for entry in filesystem.ls(path, detail=False, refresh=True))
             except (FileNotFoundError, NotADirectoryError):
@@ -117,14 +117,14 @@ class Folder:
     def remove(self, name: str) -> None:
         """Removes a file or a folder with all in it; nothing happens where there is none."""
         filesystem, path = self._filesystem()
-        with self._told(f"cannot remove {self.location}/{name}", ""):
+        with self._errors_explained(f"cannot remove {self.location}/{name}", ""):
             if filesystem.exists(f"{path}/{name}"):
                 filesystem.rm(f"{path}/{name}", recursive=True)
 
     def rename(self, old: str, new: str) -> None:
         """Renames a file."""
         filesystem, path = self._filesystem()
-        with self._told(f"cannot rename {self.location}/{old}", ""):
+        with self._errors_explained(f"cannot rename {self.location}/{old}", ""):
             filesystem.mv(f"{path}/{old}", f"{path}/{new}")
 
     def upload(self, source: Path) -> None:
@@ -192,7 +192,7 @@ def _leased(folder: Folder) -> Iterator[None]:
 
     def renew() -> None:
         while not over.wait(RENEW_EVERY_S):
-            # A store that cannot be written is told by the run's own next write.
+            # The run's own next write reports a store that cannot be written.
             with contextlib.suppress(UserError):
                 write()
 

@@ -1,19 +1,30 @@
 """What one stage writes and another reads: one typed, versioned model per file, used by writer and reader alike."""
 
+import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import psutil
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from mrtask.homes.split import HomeSplit
-from pipeline.base.config import UserError
+from pipeline.base.config import Map, UserError, content_hash
+from pipeline.store.folder import Folder
+from pipeline.store.home_files import HomeFiles
+
+JsonObject = Mapping[str, JsonValue]
+"""A part of the configuration, kept as it was."""
+
+
+class RecordError(UserError):
+    """A file that is damaged or of another version."""
 
 
 class Record(BaseModel):
     """The content of one JSON file. A subclass names its ``version`` and raises it when the meaning changes."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=(), ser_json_inf_nan="constants")
 
     ADVICE: ClassVar[str] = "run the stage that writes it again"
     """What a user does about a file of another version."""
@@ -29,14 +40,38 @@ class Record(BaseModel):
         """The record in a file's content.
 
         Raises:
-            UserError: the content is damaged or of another version; names ``path`` and says what to do.
+            RecordError: the content is damaged or of another version; names ``path`` and says what to do.
         """
         try:
             return cls.model_validate_json(content)
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"])) or "the file"
-            raise UserError(f"{path} cannot be read ({where}: {first['msg']}); {cls.ADVICE}") from error
+            raise RecordError(f"{path} cannot be read ({where}: {first['msg']}); {cls.ADVICE}") from error
+
+    @classmethod
+    def read(cls, folder: Folder, name: str) -> Self | None:
+        """The record in a file of a folder, None where there is no such file; raises as `from_json`."""
+        content = folder.read(name)
+        return None if content is None else cls.from_json(content, str(folder / name))
+
+    @classmethod
+    def find(cls, folder: Folder, name: str) -> Self | None:
+        """The record in a file of a folder; None where there is none that this version can read, so that it is made."""
+        try:
+            return cls.read(folder, name)
+        except RecordError:
+            return None
+
+    def write(self, folder: Folder, name: str) -> None:
+        """Writes the record as a file of a folder."""
+        folder.write(name, self.to_json())
+
+
+class _Part(BaseModel):
+    """A part of a record."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
 
 class GeneratedHousesManifest(Record):
@@ -70,8 +105,6 @@ class HomesManifest(Record):
 class TrainedModelRecord(Record):
     """``datasets/models/<kind>-<key>``: a model that was trained here, and the version it has in MLflow's registry."""
 
-    model_config = ConfigDict(ser_json_inf_nan="constants")
-
     name: str
     model_version: str
     kind: str
@@ -98,3 +131,135 @@ class TrainedModelRecord(Record):
     def facts(self) -> dict[str, Any]:
         """What the report says about the model, as plain data; ``version`` is that in the registry."""
         return self.model_dump(mode="json", exclude={"version", "model_version"}) | {"version": self.model_version}
+
+
+class RunIdentity(Record):
+    """Everything that decides what the rows say; rows of different identities are never mixed in one folder."""
+
+    ADVICE = "give another output_dir, or overwrite=true to start anew there"
+
+    seed: int
+    map: Map
+    homes: JsonObject
+    evaluation: JsonObject
+    evaluated_homes: str
+    """A hash of their ids."""
+    planner: Mapping[str, JsonObject]
+    """The options of each planner."""
+    model_version: str
+    code: str
+    """A hash of the sources that decide a row."""
+
+    def content(self) -> dict[str, Any]:
+        """All of it but the record's version, as plain data."""
+        return self.model_dump(mode="json", exclude={"version"})
+
+    @property
+    def config_hash(self) -> str:
+        """What the rows carry of it."""
+        return content_hash(self.content())
+
+
+class EvaluatedHomes(_Part):
+    """The homes that planners were evaluated on."""
+
+    source: str
+    files: tuple[Path, ...]
+    read_from: HomeFiles
+    """Reads the same homes again, to be drawn."""
+    skipped: int
+    """How many faulty homes were left out."""
+    read: int
+    evaluated: int
+    """How many of them the model was not trained on."""
+    by_size_class: Mapping[str, int]
+
+
+class Reach(_Part):
+    """How many containers the evaluated homes have, and to how many of them a robot can go."""
+
+    containers: int
+    reachable: int
+
+    @property
+    def share(self) -> float:
+        """The part that can be reached."""
+        return self.reachable / self.containers
+
+
+class Machine(_Part):
+    """What the driver ran on."""
+
+    cpus: int
+    """How many episodes ran at a time."""
+    memory_gb: float
+    platform: str
+    python: str
+
+    @classmethod
+    def here(cls, cpus: int) -> Self:
+        """The machine that this process runs on."""
+        return cls(
+            cpus=cpus,
+            memory_gb=round(psutil.virtual_memory().total / 2**30, 1),
+            platform=platform.platform(),
+            python=platform.python_version(),
+        )
+
+
+class EvaluationManifest(Record):
+    """A finished evaluation: what the report says about the run besides its episodes."""
+
+    ADVICE = "run python -m pipeline.evaluate with the same output_dir again"
+
+    experiment: str
+    seed: int
+    output_dir: str
+    planners: tuple[str, ...]
+    planner_options: Mapping[str, JsonObject]
+    expected_episodes: int
+    config: JsonObject
+    """The whole configuration."""
+    model_version: str
+    config_hash: str
+    code_version: str
+    model: TrainedModelRecord | None
+    """None for a model that was trained elsewhere."""
+    model_name: str
+    homes: EvaluatedHomes
+    reach: Reach
+    machine: Machine
+    peak_memory_mb: float | None
+    """Of the worker that took most."""
+    started: str
+    wall_s: float
+    run_id: str
+    """The MLflow run."""
+    sweep: str
+    """What the cell has of a sweep's values: ``planner.pouct.samples=100``; empty outside sweeps."""
+
+    def facts(self, stages: "StageTimes | None" = None) -> dict[str, Any]:
+        """What the report shows, as plain data by the names that `mrtask.analysis.facts` knows."""
+        nested = {"version", "model", "model_name", "homes", "reach"}
+        homes = self.homes.model_dump(mode="json") | {
+            "training": self.model.training_homes if self.model else None,
+            "containers": self.reach.containers,
+            "reachable_share": self.reach.share,
+        }
+        facts = self.model_dump(mode="json", exclude=nested) | {
+            "model": self.model.facts() if self.model else {"name": self.model_name, "version": self.model_version},
+            "homes": homes,
+        }
+        return facts | ({"stages": dict(stages.seconds)} if stages else {})
+
+
+class StageTimes(Record):
+    """How long the stages of a whole experiment took."""
+
+    seconds: Mapping[str, float]
+
+
+class ReportKey(Record):
+    """The hash of all that a report depends on, beside the report."""
+
+    key: str

@@ -19,6 +19,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.base.config import UserError
+from pipeline.store.episode_row import SCHEMA, TRACE, EpisodeRow
 from pipeline.store.folder import Folder
 
 FLUSH_EVERY_S = 2.0
@@ -27,41 +28,9 @@ MERGE_PARTS = 50
 FULL_PART_ROWS = 20_000
 """Parts of this size are left alone: a merge holds as many rows in memory, with their traces."""
 
-SCHEMA = pa.schema(
-    [
-        ("trial_id", pa.string()),
-        ("home_id", pa.string()),
-        ("home_source", pa.string()),
-        ("size_class", pa.string()),
-        ("robots", pa.int32()),
-        ("template", pa.string()),
-        ("formula", pa.string()),
-        ("objects", pa.list_(pa.string())),
-        ("planner", pa.string()),
-        ("status", pa.string()),
-        ("cost_s", pa.float64()),
-        ("cost_cells", pa.float64()),
-        ("decisions", pa.int32()),
-        ("planning_s", pa.float64()),
-        ("samples", pa.int64()),
-        ("seed", pa.int64()),
-        ("model_version", pa.string()),
-        ("config_hash", pa.string()),
-        ("code_version", pa.string()),
-        ("error", pa.string()),
-        ("start_x_m", pa.float64()),
-        ("start_y_m", pa.float64()),
-        ("attempt", pa.int32()),
-        ("wall_s", pa.float64()),
-        ("peak_memory_mb", pa.float64()),
-        ("trace", pa.string()),
-    ]
-)
-TRACE = "trace"
 SORTED_BY = [("trial_id", "ascending"), ("planner", "ascending")]
 _REPLACES = b"replaces"
 
-Row = Mapping[str, Any]
 Key = tuple[str, str]
 """(trial_id, planner)"""
 
@@ -71,7 +40,7 @@ class EpisodeWriter:
 
     def __init__(self, folder: Folder, rerun: Collection[str] = ()) -> None:
         self._folder = folder
-        self._pending: list[Row] = []
+        self._pending: list[EpisodeRow] = []
         self._flushed_s = time.monotonic()
         self._small = _finish_merges(folder)
         if rerun:
@@ -82,7 +51,7 @@ class EpisodeWriter:
         table = read_table(self._folder, ["trial_id", "planner"])
         return set(zip(table["trial_id"].to_pylist(), table["planner"].to_pylist(), strict=True))
 
-    def add(self, row: Row) -> None:
+    def add(self, row: EpisodeRow) -> None:
         """Takes a finished row; it is on disk within `FLUSH_EVERY_S` as long as `tick` is called."""
         self._pending.append(row)
         self.tick()
@@ -96,7 +65,7 @@ class EpisodeWriter:
     def flush(self) -> None:
         """Writes what is pending."""
         if self._pending:
-            table = pa.Table.from_pylist(self._pending, schema=SCHEMA).sort_by(SORTED_BY)
+            table = pa.Table.from_pylist([row.as_dict() for row in self._pending], schema=SCHEMA).sort_by(SORTED_BY)
             self._small.append(_write(self._folder, "part", table))
             self._pending = []
         self._flushed_s = time.monotonic()

@@ -67,14 +67,10 @@ def voted_contents(options: Contents, datasets_dir: Path) -> VotedContents:
     """The configured files, downloaded where none are given, and options, checked.
 
     Raises:
-        UserError: a file is missing, damaged, unsafe or cannot be downloaded.
+        InputError: a file is missing, damaged, unsafe or cannot be downloaded.
     """
-    file = options.file or _downloaded(VOTES_FILE, datasets_dir)
-    read_votes(file, options.sha256 if options.file else None)
-    splits = None
-    if options.objects != ALL:
-        splits = options.splits or _downloaded(SPLITS_FILE, datasets_dir)
-        read_splits(splits, None if options.splits else SPLITS_SHA256)
+    file, _ = _votes_in(options, datasets_dir)
+    splits = None if options.objects == ALL else _splits_in(options, datasets_dir)[0]
     found = VotedContents(
         file=file, splits=splits, table=options.table or BUNDLED_TABLE,
         **options.model_dump(include={"objects", "misplaced", "seed", "embedding"}),
@@ -82,6 +78,23 @@ def voted_contents(options: Contents, datasets_dir: Path) -> VotedContents:
     found.votes()
     read_table(found.table)
     return found
+
+
+def votes_by_split(options: Contents, datasets_dir: Path) -> dict[str, Votes]:
+    """The configured votes on the objects of each split; raises as `voted_contents` does."""
+    _, votes = _votes_in(options, datasets_dir)
+    _, splits = _splits_in(options, datasets_dir)
+    return {name: votes.of(objects) for name, objects in splits.items()}
+
+
+def _votes_in(options: Contents, datasets_dir: Path) -> tuple[Path, Votes]:
+    file = options.file or _downloaded(VOTES_FILE, datasets_dir)
+    return file, read_votes(file, options.sha256 if options.file else None)
+
+
+def _splits_in(options: Contents, datasets_dir: Path) -> tuple[Path, dict[str, tuple[str, ...]]]:
+    path = options.splits or _downloaded(SPLITS_FILE, datasets_dir)
+    return path, read_splits(path, None if options.splits else SPLITS_SHA256)
 
 
 def say_match(contents: VotedContents, homes: Sequence[Home]) -> None:
@@ -100,7 +113,7 @@ def _downloaded(name: str, datasets_dir: Path) -> Path:
         return fetch(HOUSEKEEP[name], datasets_dir / FOLDER / name)
     except DownloadError as error:
         key = "contents.file" if name == VOTES_FILE else "contents.splits"
-        raise UserError(f"homes.contents=housekeep: {error}, or named by {key}=...") from error
+        raise UserError(f"where people put things: {error}, or named by {key}=...") from error
 
 
 @lru_cache(maxsize=4)

@@ -136,7 +136,7 @@ def test_the_votes_are_downloaded_once_and_then_used_offline(served: ThreadingHT
     served.shutdown()
     served.server_close()
     assert voted_contents(DEFAULT, tmp_path / "datasets") == first
-    with pytest.raises(UserError, match=r"homes.contents=housekeep: data.npy: .* cannot be reached .*contents.file="):
+    with pytest.raises(UserError, match=r"where people put things: data.npy: .* cannot be reached .*contents.file="):
         voted_contents(DEFAULT, tmp_path / "elsewhere")
     with pytest.raises(UserError, match=r"splits.yaml: .* or named by contents.splits="):
         voted_contents(DEFAULT.model_copy(update={"objects": "test"}), tmp_path / "datasets")
@@ -152,6 +152,20 @@ def test_other_files_than_the_published_are_refused(
         voted_contents(DEFAULT, tmp_path / "again")
     served.shutdown()
     served.server_close()
+
+
+def test_models_are_measured_on_objects_that_they_never_saw(cli: Cli, tmp_path: Path) -> None:
+    write(tmp_path / "votes.npy")
+    write_splits(tmp_path / "splits.yaml")
+    files = ("contents.file=votes.npy", "contents.sha256=null", "contents.splits=splits.yaml")
+    done = cli("housekeep", *SMALL, *files, "housekeep.models=[frequency]", "housekeep.trained_on=[human,homes,both]")
+    assert done.code == 0, done.err
+    assert "2 objects that no model has seen" in done.out and "RoBERTa, contrastive 0.808" in done.out
+    table = pd.read_csv(tmp_path / "outputs/paper/housekeep.csv")
+    assert list(table["trained_on"]) == ["human", "homes", "both"]
+    assert table["map"].between(0, 1).all()
+    refused = cli("housekeep", *files, "homes.contents=housekeep")
+    assert refused.code == 2 and "models may not see the test objects in homes" in refused.err
 
 
 @pytest.mark.parametrize(

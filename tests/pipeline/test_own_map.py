@@ -1,6 +1,5 @@
 """A scanned floor of one's own as the home: from a drawn map to the report by one command."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from PIL import Image
 
 from mrtask.maps.ros_map import read_ros_map
 from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline.test_stages import evaluation_manifest
 
 MAP = """image: lab.pgm
 resolution: 0.05
@@ -59,8 +59,8 @@ def test_one_command_from_map_to_report(workspace: Workspace, cli: Cli) -> None:
     assert len(frame) == 2 * 2 * 2
     assert frame["home_id"].nunique() > 1
     assert "no episode is drawn" not in done.out
-    manifest = json.loads((workspace.path / "outputs/lab/evaluation.json").read_text())["homes"]
-    assert (manifest["source"], manifest["evaluated"], manifest["reachable_share"]) == ("ros_map", 3, 1.0)
+    manifest = evaluation_manifest(workspace.path / "outputs/lab")
+    assert (manifest.homes.source, manifest.homes.evaluated, manifest.reach.share) == ("ros_map", 3, 1.0)
     again = cli("reproduce", *workspace.overrides, *lab, "homes.worlds=3", "output_dir=outputs/lab", cwd=workspace.path)
     assert again.out.count("(unchanged, skipped)") == 5
 

@@ -19,8 +19,8 @@ from mrtask.homes.generator.house import generate_house
 from pipeline import homes
 from pipeline.backends import tracking
 from pipeline.store import artifacts
-from pipeline.store.records import HomesManifest
-from pipeline.store.rows import SCHEMA
+from pipeline.store.episode_row import SCHEMA
+from pipeline.store.records import EvaluationManifest, HomesManifest, StageTimes
 from tests.pipeline.harness import ROOT, Cli, Workspace
 
 TIMINGS = ["planning_s", "wall_s", "peak_memory_mb"]
@@ -35,6 +35,10 @@ def episodes(output_dir: Path) -> pd.DataFrame:
 
 def homes_manifest(folder: Path) -> HomesManifest:
     return HomesManifest.from_json((folder / artifacts.MANIFEST).read_bytes(), str(folder))
+
+
+def evaluation_manifest(output_dir: Path) -> EvaluationManifest:
+    return EvaluationManifest.from_json((output_dir / "evaluation.json").read_bytes(), str(output_dir))
 
 
 def write_houses(path: Path, houses: list[Any]) -> Path:
@@ -54,12 +58,12 @@ def test_reproduce_leaves_every_result(workspace: Workspace) -> None:
         assert (frame.groupby("trial_id")[column].nunique() == 1).all(), f"planners differ in {column}"
     page = (workspace.output_dir / "report" / "index.html").read_text()
     assert "pouct" in page and "http://" not in page.replace("http://www.w3.org", "")
-    manifest = json.loads((workspace.output_dir / "evaluation.json").read_text())
-    assert manifest["expected_episodes"] == len(frame)
-    assert set(frame["config_hash"]) == {manifest["config_hash"]}
-    assert manifest["homes"]["reachable_share"] > 0.95
-    assert manifest["peak_memory_mb"] == pytest.approx(frame["peak_memory_mb"].max(), abs=0.1)
-    assert set(json.loads((workspace.output_dir / "stages.json").read_text())) == {
+    manifest = evaluation_manifest(workspace.output_dir)
+    assert manifest.expected_episodes == len(frame)
+    assert set(frame["config_hash"]) == {manifest.config_hash}
+    assert manifest.reach.share > 0.95
+    assert manifest.peak_memory_mb == pytest.approx(frame["peak_memory_mb"].max(), abs=0.1)
+    assert set(StageTimes.from_json((workspace.output_dir / "stages.json").read_bytes(), "").seconds) == {
         "homes",
         "dataset",
         "train",
@@ -131,6 +135,21 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
     assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
 
 
+def test_a_manifest_of_another_version_is_written_anew(workspace: Workspace, cli: Cli, copied_output: Path) -> None:
+    rows = pd.read_parquet(copied_output / "episodes")
+    for name in ("evaluation.json", "stages.json"):
+        (copied_output / name).write_text('{"version": 0}')
+    common = [*workspace.overrides, f"output_dir={copied_output}"]
+    refused = cli("report", *common, cwd=workspace.path)
+    assert refused.code == 2
+    assert "evaluation.json cannot be read" in refused.err
+    assert "run python -m pipeline.evaluate with the same output_dir again" in refused.err
+    assert cli("evaluate", *common, cwd=workspace.path).code == 0
+    assert evaluation_manifest(copied_output).expected_episodes == len(rows)
+    pd.testing.assert_frame_equal(pd.read_parquet(copied_output / "episodes"), rows)
+    assert cli("report", *common, cwd=workspace.path).code == 0
+
+
 def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     houses = [generate_house(seed, "small") for seed in range(3)]
     write_houses(workspace.path / "others.jsonl.gz", [{"name": "no house"}, *houses])
@@ -146,7 +165,7 @@ def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     assert done.code == 0
     assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
     assert "faulty homes left out: 1; the first: others.jsonl.gz, home 0" in done.out
-    assert json.loads((workspace.path / "outputs/others/evaluation.json").read_text())["homes"]["skipped"] == 1
+    assert evaluation_manifest(workspace.path / "outputs/others").homes.skipped == 1
 
 
 def test_homes_of_the_training_are_left_out(workspace: Workspace, cli: Cli) -> None:

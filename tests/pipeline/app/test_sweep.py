@@ -4,8 +4,12 @@ from pathlib import Path
 
 import mlflow
 import pandas as pd
+import pytest
 
+from pipeline.app.stage import Session, Stage
+from pipeline.app.sweep import Sweep
 from pipeline.backends import tracking
+from pipeline.base.config import Config, UserError
 from tests.pipeline.harness import Cli, Workspace
 
 
@@ -65,6 +69,54 @@ def test_a_cell_that_fails_leaves_the_others_running(workspace: Workspace, cli: 
     assert "1 of 2 cells failed" in done.err and "no large home to evaluate on" in done.err
     cells = workspace.path / "outputs" / "partly" / "cells"
     assert len(pd.read_parquet(cells / "evaluation.size_classes=_small_" / "episodes")) == 4
+
+
+def run_cells(*, fail: set[str], dry_run: bool = False, compares: bool = True) -> tuple[list[str], list[str], Sweep]:
+    """Runs a made-up stage on cells ``seed=0`` to ``seed=2``: what it ran with, what was compared, and the sweep."""
+    ran, compared = [], []
+
+    def run(config: Config, session: Session) -> None:
+        ran.append(f"{session.cell.text} {session.cell.title} {session.cell.parent_run_id} {config.output_dir}")
+        if session.cell.title in fail:
+            raise UserError("no home")
+
+    stage = Stage(run, (lambda config, run_id: compared.append(f"{config.output_dir} {run_id}")) if compares else None)
+    config = Config.model_construct(output_dir="/out", dry_run=dry_run)
+    sweep = Sweep(frozenset({"a.seed"}), config, cells=3, parent_run_id="parent")
+    for seed in range(3):
+        sweep.run_cell(stage, config, ["experiment=smoke", f"a.seed={seed}"], pool=None)
+    return ran, compared, sweep
+
+
+def test_each_cell_knows_its_place_and_the_end_compares_once() -> None:
+    ran, compared, sweep = run_cells(fail=set())
+    assert ran == [f"a.seed={seed} seed={seed} parent /out/cells/a.seed={seed}" for seed in range(3)]
+    assert compared == []
+    sweep.end()
+    assert compared == ["/out parent"]
+
+
+def test_cells_that_fail_are_listed_at_the_end_and_the_others_compared() -> None:
+    _, compared, sweep = run_cells(fail={"seed=0", "seed=2"})
+    assert sweep.failed == ["a.seed=0: no home", "a.seed=2: no home"]
+    with pytest.raises(SystemExit, match="2"):
+        sweep.end()
+    assert compared == ["/out parent"]
+
+
+def test_nothing_is_compared_where_no_cell_left_anything() -> None:
+    for fail, dry_run, compares in (
+        ({"seed=0", "seed=1", "seed=2"}, False, True),
+        (set(), True, True),
+        (set(), False, False),
+    ):
+        _, compared, sweep = run_cells(fail=fail, dry_run=dry_run, compares=compares)
+        if fail:
+            with pytest.raises(SystemExit):
+                sweep.end()
+        else:
+            sweep.end()
+        assert compared == []
 
 
 def make_small_homes(path: Path) -> None:

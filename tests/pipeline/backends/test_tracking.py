@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.homes.home import Container, Home, Room
 from mrtask.likelihood.dataset import build_dataset, write_dataset
 from mrtask.likelihood.options import NetworkOptions, TrainingOptions
 from mrtask.likelihood.training import train_model
+from tests.likelihood.made_up_world import draw_homes
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -31,26 +31,13 @@ PROBS = {
     ("Fridge", "Kitchen"): {"Apple": 0.8, "Book": 0.1, "Mug": 0.3},
     ("Bed", "Bedroom"): {"Book": 0.5, "Pillow": 0.9},
 }
+HOMES = {"train": 60, "validation": 20, "test": 40}
 NAMES = pd.DataFrame({"object": ["Apple", "Duvet"], "container": ["Fridge", "Bed"], "room": ["Kitchen", "Bedroom"]})
-
-
-def draw_homes(number, seed):
-    rng = np.random.default_rng(seed)
-    square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
-    homes = []
-    for index in range(number):
-        rooms = tuple(Room(room, room, (*square, (0.0, 1.0 + seed + index / 1000))) for room in ("Bedroom", "Kitchen"))
-        containers = tuple(
-            Container(kind, kind, room, square, tuple(sorted(name for name in probs if rng.random() < probs[name])))
-            for (kind, room), probs in PROBS.items()
-        )
-        homes.append(Home("made-up", rooms, (), containers, ()))
-    return homes
 
 
 @pytest.fixture(scope="module")
 def homes():
-    return {"train": draw_homes(60, 1), "validation": draw_homes(20, 2), "test": draw_homes(40, 3)}
+    return {name: draw_homes(number, seed, PROBS) for seed, (name, number) in enumerate(HOMES.items(), 1)}
 
 
 @pytest.fixture(scope="module")

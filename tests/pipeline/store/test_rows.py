@@ -11,26 +11,32 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from mrtask.analysis.episodes import REQUIRED_COLUMNS
 from pipeline.base.config import UserError
 from pipeline.store import rows as results
+from pipeline.store.episode_row import SCHEMA, EpisodeRow
 from pipeline.store.folder import Folder, locked
-from pipeline.store.rows import SCHEMA, EpisodeWriter, differences, read_episodes, read_table, read_traces
+from pipeline.store.rows import EpisodeWriter, differences, read_episodes, read_table, read_traces
 
 
 class Crash(BaseException):
     """The process ends here."""
 
 
-def row(number: int, planner: str = "greedy", status: str = "accepted") -> dict[str, Any]:
-    return {
-        "trial_id": f"small-1-{number:03d}",
-        "planner": planner,
-        "status": status,
-        "robots": 1,
-        "objects": ["Mug", "Bowl"],
-        "trace": f"[{number}]",
-        "cost_s": float(number) if status == "accepted" else None,
-    }
+def row(number: int, planner: str = "greedy", status: str = "accepted") -> EpisodeRow:
+    return EpisodeRow(
+        trial_id=f"small-1-{number:03d}",
+        size_class="small",
+        robots=1,
+        objects=("Mug", "Bowl"),
+        planner=planner,
+        status=status,
+        cost_s=float(number) if status == "accepted" else None,
+        model_version="1",
+        config_hash="",
+        code_version="",
+        trace=f"[{number}]",
+    )
 
 
 def keys(folder: Folder) -> Counter[tuple[str, str]]:
@@ -56,6 +62,18 @@ def test_rows_come_back_with_the_fixed_schema(folder: Folder) -> None:
     assert frame["cost_s"].isna().tolist() == [False, False, False, True]
     assert list(frame["objects"].iloc[0]) == ["Mug", "Bowl"]
     assert len([name for name in folder.names() if name.endswith(".parquet")]) == 1
+
+
+def test_the_columns_are_those_of_every_published_run() -> None:
+    assert [f"{field.name}: {field.type}" for field in SCHEMA] == [
+        "trial_id: string", "home_id: string", "home_source: string", "size_class: string", "robots: int32",
+        "template: string", "formula: string", "objects: list<item: string>", "planner: string", "status: string",
+        "cost_s: double", "cost_cells: double", "decisions: int32", "planning_s: double", "samples: int64",
+        "seed: int64", "model_version: string", "config_hash: string", "code_version: string", "error: string",
+        "start_x_m: double", "start_y_m: double", "attempt: int32", "wall_s: double", "peak_memory_mb: double",
+        "trace: string",
+    ]  # fmt: skip
+    assert set(REQUIRED_COLUMNS) <= set(SCHEMA.names)
 
 
 def test_a_part_is_readable_by_plain_pyarrow(tmp_path: Path) -> None:

@@ -1,0 +1,82 @@
+"""The homes' maps and the episodes of an evaluation, over all workers."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mrtask.planning.planners import PLANNERS
+from pipeline.backends.pool import Outcome, Pool
+from pipeline.base import console
+from pipeline.base.config import Evaluation
+from pipeline.episodes.plan import EvaluationPlan
+from pipeline.episodes.tally import Tally
+from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_one, unfinished_row, warm
+from pipeline.store.episode_row import EpisodeRow
+from pipeline.store.records import Reach
+from pipeline.store.rows import EpisodeWriter
+
+
+def map_homes(context: Context, pool: Pool) -> Reach:
+    """Maps all homes into the cache; returns how many containers there are and how many can be reached."""
+    # Compiled once here, so that the workers find the kernels in numba's cache.
+    context.maps.map_of(context.homes[0])
+    containers = reachable = 0
+    with console.Progress(len(context.homes), "homes mapped") as progress:
+        for outcome in pool.run(map_home, range(len(context.homes)), context):
+            if outcome is None:
+                continue
+            if outcome.value is None:
+                raise RuntimeError(f"home {context.homes[outcome.item].id} could not be mapped: {outcome.failure}")
+            containers += outcome.value.containers
+            reachable += outcome.value.reachable
+            progress.update()
+    reach = Reach(containers=containers, reachable=reachable)
+    console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
+    return reach
+
+
+def run_episodes(
+    plan: EvaluationPlan, missing: Sequence[EpisodeKey], options: Evaluation, pool: Pool, writer: EpisodeWriter
+) -> None:
+    """Runs what is missing and closes the writer, also when it is interrupted: what is finished stays.
+
+    Raises:
+        UserError: too many episodes fail.
+    """
+    tally = Tally(plan.planners, options.max_failed_fraction)
+    warm_kernels(plan.context, missing)
+    done = len(plan.keys) - len(missing)
+    try:
+        with console.Progress(len(plan.keys), "episodes", done) as progress:
+            for outcome in pool.run(run_one, missing, plan.context, timeout_s=options.episode_timeout_s):
+                if outcome is None:
+                    writer.tick()
+                    progress.update(0)
+                    continue
+                row = row_of(outcome, plan.context)
+                writer.add(row)
+                tally.add(row)
+                progress.update(note=tally.note())
+    finally:
+        writer.close()
+
+
+def row_of(outcome: Outcome[EpisodeKey, EpisodeRow], context: Context) -> EpisodeRow:
+    """An episode's row, whatever became of it."""
+    if outcome.value is not None:
+        row = outcome.value
+    elif outcome.failure is not None:
+        status = "timeout" if outcome.failure.kind == "timeout" else "error"
+        row = unfinished_row(outcome.item, context, status, outcome.failure.message)
+    else:
+        raise ValueError(f"{outcome.item} has neither a value nor a failure")
+    return replace(row, attempt=outcome.attempt)
+
+
+def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
+    """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
+    for name, key in {key.planner: key for key in reversed(missing)}.items():
+        if name in PLANNERS:
+            try:
+                warm(key, context)
+            except Exception as error:  # the run goes on: its episodes will be rows of status error
+                console.line(f"{name} failed on {key.trial_id} already in the driver: {error}")

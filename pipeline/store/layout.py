@@ -1,0 +1,39 @@
+"""What lies where in an ``output_dir``; a sweep's holds its cells, each of which is laid out in the same way.
+
+run.json              `RunIdentity`: everything that decides what the episodes' rows say
+episodes/             the rows, `EpisodeRow`, as Parquet
+evaluation.json       `EvaluationManifest`: written when all episodes are there
+mlflow_run_id         the MLflow run under way, or the last one
+stages.json           `StageTimes`: written by pipeline.reproduce
+report/               index.html and table.csv, and `ReportKey` in manifest.json
+homes/, realism/      what draw=true and pipeline.realism leave
+housekeep.csv         what pipeline.housekeep measured
+cells/<cell>/         of a sweep: one output_dir for each cell
+"""
+
+from mrtask.analysis.report import REPORT_FILE
+from pipeline.store.folder import Folder
+
+IDENTITY = "run.json"
+EPISODES = "episodes"
+MANIFEST = "evaluation.json"
+RUN_ID = "mlflow_run_id"
+STAGES = "stages.json"
+REPORT = "report"
+REPORT_INDEX = REPORT_FILE
+REPORT_KEY = "manifest.json"
+HOMES = "homes"
+REALISM = "realism"
+HOUSEKEEP = "housekeep.csv"
+CELLS = "cells"
+
+
+def forget_episodes(folder: Folder) -> None:
+    """Removes the episodes and all that was made from them."""
+    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, STAGES):
+        folder.remove(name)
+
+
+def cells(folder: Folder) -> list[Folder]:
+    """The folders of a sweep's cells; none where there was no sweep."""
+    return [folder / CELLS / name for name in (folder / CELLS).names()]
