@@ -28,10 +28,10 @@ OPTIONS = {
 """A search that is to find the optimum must come to try every action and not be cut short."""
 
 
-def exact_solver(name, problem):
+def exact_solver(name, problem, exists=False):
     """The solver of a planner's own abstraction."""
     if name == "pouct_paper":
-        return ExactPaperSolver(problem, stuck_penalty_s(problem))
+        return ExactPaperSolver(problem, stuck_penalty_s(problem), exists)
     return ExactSolver(problem, problem.presence_prob)
 
 
