@@ -1,8 +1,10 @@
 """What a wrong prior costs, and what a belief that learns in the home wins back, task by task.
 
 Ten tasks in each home, whose contents are those of ProcTHOR or of people; the prior is uniform or learned from homes
-with either contents; the belief adapts or not. All arms run the same trials. Prints mean costs, what adapting changes with a
-95 % bootstrap interval over homes, and the log loss of what the team believed of its objects.
+with either contents; the belief adapts or not. All arms run the same trials. Prints mean costs, what adapting changes
+with a 95 % bootstrap interval over homes, and the log loss of what the team believed of its objects.
+
+    python benchmarks/bench_belief.py --files a.jsonl.gz b.jsonl.gz --assets asset-database.json --votes data.npy
 """
 
 import argparse

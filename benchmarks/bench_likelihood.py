@@ -121,9 +121,14 @@ def main() -> None:
     if arguments.homes:
         homes = {"given": list(read_houses(arguments.homes, arguments.assets))} | homes
     if arguments.votes:
-        contents = VotedContents(
-            file=arguments.votes, splits=None, objects="all", table=BUNDLED_TABLE, misplaced=0.1, seed=0, embedding=BUNDLED
-        )  # fmt: skip
+        given = {
+            "file": arguments.votes,
+            "splits": None,
+            "objects": "all",
+            "table": BUNDLED_TABLE,
+            "embedding": BUNDLED,
+        }
+        contents = VotedContents(**given, misplaced=0.1, seed=0)
         homes |= {f"{name}, people's contents": list(contents.furnish(members)) for name, members in homes.items()}
     datasets = {name: dataset_of(members, name) for name, members in homes.items()}
     print(f"homes and rows: {time.monotonic() - began_s:.0f} s", flush=True)
