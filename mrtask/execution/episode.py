@@ -39,6 +39,8 @@ class EpisodeResult:
     samples: int
     error: str | None
     trace: Trace
+    searched: tuple[bool, ...]
+    """Of each container: whether its contents were seen, or known from the start."""
 
 
 def run_episode(
@@ -103,6 +105,7 @@ def run_episode(
         samples=samples,
         error=error,
         trace=trace,
+        searched=tuple(bool(seen) for seen in simulation.searched),
     )
 
 

@@ -2,8 +2,8 @@
 
 Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that make
 progress (`mrtask.planning.paper_action_kernel`); a leaf is worth the time so far plus a value of the rest. Wherever the
-paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are the
-reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
+paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are
+the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
 text's Algorithm 1, choice and free robots; the code's eight likeliest actions; and, ours, likelihoods that know that
 every object is somewhere.
 """

@@ -9,6 +9,7 @@ report/               index.html and table.csv, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave
+housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
 """
 
@@ -27,6 +28,7 @@ OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
 REPLAYS = "replays"
+HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
 
 
