@@ -5,7 +5,7 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.analysis.boun
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -95,7 +95,7 @@ def _assess_all(
                 if outcome is None:
                     progress.update(0)
                     continue
-                rows.append(_row(outcome) | {KEY: hashed})
+                rows.append({**_row(outcome), KEY: hashed})
                 progress.update()
                 if time.monotonic() > written_s + WRITE_EVERY_S:
                     _write(folder, rows)
@@ -111,7 +111,7 @@ def _row(outcome: Outcome[EpisodeKey, dict[str, Any]]) -> Mapping[str, Any]:
     return outcome.value
 
 
-def _write(folder: Folder, rows: Iterable[Mapping[str, Any]]) -> None:
+def _write(folder: Folder, rows: list[dict[str, Any]]) -> None:
     if rows:
         ordered = pd.DataFrame(rows).sort_values(["trial_id", "planner"])
         folder.write(OPTIMALITY, ordered.to_csv(index=False, lineterminator="\n").encode())

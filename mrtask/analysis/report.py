@@ -14,8 +14,9 @@ from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import main_planner
 from mrtask.analysis.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.result_table import result_table
-from mrtask.analysis.sections import SECTIONS, render_fragment
+from mrtask.analysis.sections import SECTIONS
 from mrtask.analysis.style import planner_label
+from mrtask.analysis.templating import render_fragment
 from mrtask.analysis.trajectories import Pick, baseline_beside, instructive_trials
 from mrtask.files import replacing
 from mrtask.homes.home import Home
@@ -97,7 +98,7 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
         return []
-    return instructive_trials(rows, planner, baseline_beside(rows, planner))
+    return instructive_trials(rows, planner, baseline_beside(rows["planner"], planner))
 
 
 def _question(planner: str | None) -> str:

@@ -7,9 +7,7 @@ and pictures with the macros of ``parts.html.jinja``.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 
-import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -20,6 +18,7 @@ from mrtask.analysis.report_data import ReportData
 from mrtask.analysis.result_table import planner_table
 from mrtask.analysis.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, RULE
 from mrtask.analysis.style import counted, data_uri, planner_label
+from mrtask.analysis.templating import render_fragment
 from mrtask.analysis.trajectories import baseline_beside, draw_trial, instructive_trials
 
 
@@ -42,23 +41,6 @@ class Picture:
     uri: str
     title: str
     caption: str
-
-
-@cache
-def templates() -> jinja2.Environment:
-    """The report's templates; values in them are escaped."""
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("mrtask.analysis"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def render_fragment(template: str, **values: object) -> Markup:
-    """The HTML of ``templates/<template>.html.jinja``."""
-    return Markup(templates().get_template(f"{template}.html.jinja").render(values))
 
 
 def paper_table_section(data: ReportData) -> Markup:
@@ -229,7 +211,7 @@ def _trajectories(data: ReportData) -> list[Picture]:
     rows, planner = data.rows, data.planner
     if planner is None or "trace" not in rows.columns:
         return []
-    baseline = baseline_beside(rows, planner)
+    baseline = baseline_beside(rows["planner"], planner)
     names = [planner] if baseline is None else [planner, baseline]
     pictures = []
     for pick in instructive_trials(rows, planner, baseline, data.homes.keys()):

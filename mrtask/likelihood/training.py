@@ -81,11 +81,11 @@ def fit_on_homes(
     objects = vocabulary(homes)
     if not objects:
         raise ValueError("there is nothing to learn from: no home has an object in a container")
-    parts = [
+    learned_from, checked_on = (
         distinct_triples(pd.concat([label_rows(home, objects) for home in part])) if part else pd.DataFrame()
         for part in (homes, list(validation))
-    ]
-    return fit(*parts, options or TrainingOptions(kind="frequency"))[0]
+    )
+    return fit(learned_from, checked_on, options or TrainingOptions(kind="frequency"))[0]
 
 
 def _say_nothing(phase: str) -> None:

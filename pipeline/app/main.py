@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -96,7 +96,9 @@ def _prepare_process(module_name: str) -> None:
     sys.argv = [_for_hydra(argument) for argument in sys.argv]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
-    stage_help = importlib.import_module(module_name).__doc__ if "--help" in sys.argv else ""
+    module = importlib.import_module(module_name)
+    sys.argv[1:] = [_written_out(argument, module.STAGE.shorthands) for argument in sys.argv[1:]]
+    stage_help = module.__doc__ if "--help" in sys.argv else ""
     for name, value in (
         ("stage_name", module_name),
         ("stage_help", stage_help),
@@ -115,6 +117,12 @@ def _for_hydra(argument: str) -> str:
         return argument
     # A comma is no part of a formula: it separates those of a sweep.
     return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
+
+
+def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:
+    """An override with its key's group."""
+    key, equals, value = argument.partition("=")
+    return f"{shorthands.get(key, key)}{equals}{value}"
 
 
 def _friendly(message: str) -> str:

@@ -65,6 +65,7 @@ class _Section(BaseModel):
 
 
 class _Homes(_Section):
+    contents: Literal["procthor", "housekeep"]
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -119,13 +120,26 @@ class RosMapHomes(_Homes):
 
     def to_learn_from(self) -> GeneratedHomes:
         """The generated homes that the model learns from."""
-        shared = self.model_dump(include={"seed", "train", "validation", "test"})
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
         return GeneratedHomes(source="generated", **shared)
 
 
 HousesInFiles = ProcthorHomes | Procthor10kHomes
 Homes = GeneratedHomes | HousesInFiles | RosMapHomes
 HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
+
+
+class Contents(_Section):
+    """How contents are drawn with ``homes.contents=housekeep``."""
+
+    file: LocalPath | None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    objects: Literal["all", "train", "val", "test"]
+    splits: LocalPath | None
+    table: LocalPath | None
+    misplaced: float = Field(ge=0, le=1)
+    seed: int = Field(ge=0)
+    embedding: str = Field(min_length=1)
 
 
 class Map(_Section):
@@ -198,6 +212,15 @@ class EvaluationHomes(_Section):
     order: Literal["shuffled", "file"]
 
 
+class Belief(_Section):
+    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+
+    adapt: bool
+    kind_sd: float = Field(ge=0)
+    object_sd: float = Field(ge=0)
+    forget: _Share
+
+
 class Evaluation(_Section):
     """Which trials are run, by which planners, with which model."""
 
@@ -207,6 +230,7 @@ class Evaluation(_Section):
     ]
     robots: Annotated[tuple[Positive, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     trials_per_cell: Positive
+    tasks_per_home: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
     formula_file: LocalPath | None
@@ -251,6 +275,18 @@ class Realism(_Section):
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
+TrainedOn = Literal["human", "homes", "both"]
+
+
+class Housekeep(_Section):
+    """Which models are measured on the votes of people, and what each is trained on."""
+
+    models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trained_on: Annotated[
+        tuple[TrainedOn, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+
+
 class Arm(_Section):
     """A named change of the configuration: ``key=value`` as on the command line."""
 
@@ -263,6 +299,8 @@ class Ablation(_Section):
 
     switches: tuple[Arm, ...]
     steps: tuple[Arm, ...]
+    added_alone: bool
+    taken_alone: bool
 
 
 class Optimality(_Section):
@@ -271,6 +309,13 @@ class Optimality(_Section):
     planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     trials_per_cell: Positive
     worlds: int = Field(ge=2)
+
+
+class Replay(_Section):
+    """Which trial is shown, and whose episodes."""
+
+    trial_id: str | None
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
 class Cluster(_Section):
@@ -313,14 +358,18 @@ class Config(_Section):
     cache_limit_gb: float = Field(gt=0)
     map: Map
     homes: Homes = Field(discriminator="source")
+    contents: Contents
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
+    belief: Belief
     evaluation: Evaluation
     realism: Realism
+    housekeep: Housekeep
     ablation: Ablation
     optimality: Optimality
+    replay: Replay
     cluster: Cluster
     tracking: Tracking
 
