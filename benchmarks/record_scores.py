@@ -1,6 +1,6 @@
 """Records our planners' episodes on a suite; to be run when a planner, the simulation or the maps have changed.
 
-python benchmarks/record_scores.py [mrtask-1]
+python benchmarks/record_scores.py [pouct_paper ...]      (all of them where none is named)
 """
 
 import os
@@ -18,15 +18,18 @@ FOLDER = Path(__file__).resolve().parents[1] / "mrtask" / "suite"
 
 
 def main() -> None:
-    """Runs every planner and writes the costs."""
-    suite = sys.argv[1] if len(sys.argv) > 1 else DEFAULT_SUITE
-    columns = {}
-    for name, options in recorded.PLANNERS.items():
+    """Runs the planners and writes the costs; those of the others stay."""
+    suite = DEFAULT_SUITE
+    path = FOLDER / recorded.file_name(suite)
+    columns: dict[str, pd.Series] = {}
+    if path.is_file():
+        columns = dict(pd.read_csv(path, comment="#", index_col="trial_id", float_precision="round_trip").items())
+    for name in sys.argv[1:] or recorded.PLANNERS:
+        options = recorded.PLANNERS[name]
         episodes = score_planner(Request(name, options, suite, os.cpu_count() or 1))
         columns[name] = episodes.set_index("trial_id")["cost_s"]
         spent_s = episodes["planning_s"].sum()
         print(f"{name}: {episodes['status'].value_counts().to_dict()}, {spent_s:.1f} s of planning", flush=True)
-    path = FOLDER / recorded.file_name(suite)
     code = hash_folders("mrtask/planning", "mrtask/execution", "mrtask/maps")
     path.write_text(recorded.recorded_text(pd.DataFrame(columns), f"code {code}"), encoding="utf-8")
     print(path)
