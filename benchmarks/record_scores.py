@@ -23,7 +23,7 @@ def main() -> None:
     path = FOLDER / recorded.file_name(suite)
     columns: dict[str, pd.Series] = {}
     if path.is_file():
-        columns = dict(pd.read_csv(path, comment="#", index_col="trial_id", float_precision="round_trip").items())
+        columns = dict(pd.read_csv(path, comment="#", index_col="trial_id").items())
     for name in sys.argv[1:] or recorded.PLANNERS:
         options = recorded.PLANNERS[name]
         episodes = score_planner(Request(name, options, suite, os.cpu_count() or 1))

@@ -26,7 +26,7 @@ PLANNERS: dict[str, dict[str, Any]] = {
 def recorded_episodes(suite: Suite) -> pd.DataFrame:
     """The recorded rows of a suite: ``trial_id, planner, status, cost_s, size_class, robots``."""
     text = files("mrtask.suite").joinpath(file_name(suite.name)).read_text(encoding="utf-8")
-    costs = pd.read_csv(StringIO(text), comment="#", float_precision="round_trip")
+    costs = pd.read_csv(StringIO(text), comment="#")
     rows = costs.melt("trial_id", var_name="planner", value_name="cost_s")
     rows["status"] = rows["cost_s"].notna().map({True: "accepted", False: "failed"})
     trials = {trial.trial_id: trial for trial in suite.trials}
