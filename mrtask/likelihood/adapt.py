@@ -163,7 +163,8 @@ def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
         middle = (low + high) / 2.0
         below = expit(middle[:, None] + shift.ravel()) @ weight < wanted
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray(((low + high) / 2.0)[where].reshape(prior.shape))
+    offsets: Floats = ((low + high) / 2.0)[where].reshape(prior.shape)
+    return offsets
 
 
 def _standard_normal() -> tuple[Floats, Floats]:

@@ -2,7 +2,10 @@
 
 Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that make
 progress (`mrtask.planning.paper_action_kernel`); a leaf is worth the time so far plus a value of the rest. Wherever the
-paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch.
+paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are
+the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
+text's Algorithm 1, choice and free robots; the code's eight likeliest actions; and, ours, likelihoods that know that
+every object is somewhere.
 """
 
 from dataclasses import dataclass, replace
@@ -58,9 +61,9 @@ class PaperOptions(SearchOptions):
     choice: str = "mean"
     """The joint action taken: ``mean``, the edges of least mean cost (the text); ``visits``, the most visited ones (the
     code), of equals the one of least cost."""
-    max_actions: int | None = None
-    """Only so many actions of a robot, those of the highest P_S, stay at a node; an object known to be there counts as
-    1. null: all (the text). The code: 8."""
+    max_actions: int | None = 8
+    """Only so many actions of a robot, those of the highest P_S, stay at a node (the code: 8); an object known to be
+    there counts as 1. null: all, as the text has it."""
     avoid_targets: bool = False
     """In a team with at least as many actions as robots, containers that other robots head for are left to them (the
     code), unless nothing else is left."""
@@ -68,9 +71,10 @@ class PaperOptions(SearchOptions):
     """A robot whose team all waits has only actions that advance the task (the code), unless there are none."""
     round_decimals: int | None = None
     """P_S is rounded to so many decimals; null: not (the text). The code: 2. What is possible stays possible."""
-    exists: bool = False
+    exists: bool = True
     """P_S is conditioned on every object being somewhere: an object not located is in container k with probability
-    p_k / (1 - prod(1 - p)), over the containers where it may still be (ours; neither text nor code)."""
+    p_k / (1 - prod(1 - p)), over the containers where it may still be. The text says no more than that tasks are about
+    objects that are there; the code does not condition."""
     reassign: str = "free"
     """``free``: only free robots decide (Algorithm 1 as it stands); ``all``: after news those under way do too (the
     code assigns everybody anew at each reveal)."""

@@ -233,6 +233,7 @@ class Evaluation(_Section):
     tasks_per_home: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
+    formula_file: LocalPath | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -298,6 +299,23 @@ class Ablation(_Section):
 
     switches: tuple[Arm, ...]
     steps: tuple[Arm, ...]
+    added_alone: bool
+    taken_alone: bool
+
+
+class Optimality(_Section):
+    """How far planners are from optimal: on how many trials and worlds it is measured."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    worlds: int = Field(ge=2)
+
+
+class Replay(_Section):
+    """Which trial is shown, and whose episodes."""
+
+    trial_id: str | None
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
 class Cluster(_Section):
@@ -350,6 +368,8 @@ class Config(_Section):
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
+    optimality: Optimality
+    replay: Replay
     cluster: Cluster
     tracking: Tracking
 
@@ -374,6 +394,7 @@ def load(composed: DictConfig) -> Config:
         plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
+    _read_formula(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
@@ -389,6 +410,20 @@ def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
     return load(changed)
 
 
+def _read_formula(plain: Any) -> None:
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    options = plain["evaluation"]
+    if (path := options.get("formula_file")) is None:
+        return
+    if options["formula"] is not None:
+        raise UserError("evaluation.formula_file: give it or evaluation.formula, not both")
+    try:
+        options["formula"] = " ".join(_absolute(Path(str(path))).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
+    options["formula_file"] = None
+
+
 def _check_planners(config: Config) -> None:
     for name in config.planner_variants:
         if name in PLANNERS:
@@ -396,6 +431,8 @@ def _check_planners(config: Config) -> None:
         _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
     for name in config.evaluation.planners:
         _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+    for name in config.optimality.planners:
+        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
     behind = {config.planner_behind(name) for name in config.evaluation.planners}
     own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
     for name in config.planner.keys() - own:

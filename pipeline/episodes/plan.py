@@ -22,7 +22,7 @@ from pipeline.store.version import code_version, source_hash
 
 RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
 """The library packages whose code decides what an episode's row says."""
-WITHOUT_EFFECT = {"homes", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
+WITHOUT_EFFECT = {"homes", "formula_file", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
 """Keys of ``evaluation`` that do not change what a row says, or are recorded by what they led to."""
 
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.execution.episode import run_episode, warm_up
+from mrtask.analysis.bounds.assess import assess
+from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
@@ -117,13 +118,16 @@ def run_chain(keys: tuple[EpisodeKey, ...], context: Context) -> tuple[EpisodeRo
     return tuple(rows)
 
 
-def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet."""
-    return _run(key, 0, (), context)[0]
+def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
+    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet.
+
+    ``observe`` is called at each of its decisions.
+    """
+    return _run(key, 0, (), context, observe)[0]
 
 
 def _run(
-    key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context
+    key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context, observe: Observer | None = None
 ) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
     """An episode's row and what it showed, after what earlier tasks in its home showed."""
     began_s = time.perf_counter()
@@ -131,7 +135,8 @@ def _run(
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
     likelihood = _likelihood(home, trial.objects, task, seen, context)
-    result = run_episode(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner))
+    home_map = bench.map_of(trial.home_id)
+    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
     row = replace(
         unfinished_row(key, context, result.status, result.error),
@@ -164,6 +169,15 @@ def _likelihood(
     known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
     prior = context.table.matrix(home, known)
     return adapted(prior, known, home.container_kinds(), seen, task, context.adapt)[:, : len(objects)]
+
+
+def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
+    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = context.table.matrix(home, trial.objects)
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:

@@ -82,14 +82,14 @@ def mask(objects):
 
 
 EVERY_SWITCH = (
-    PaperOptions(exploration=0.7),
-    PaperOptions(leaf="zero", exploration=2.0, exploration_unit="seconds"),
-    PaperOptions(leaf="nearest", exists=True),
-    PaperOptions(max_actions=2, exists=True),
-    PaperOptions(max_actions=3, round_decimals=1, avoid_targets=True),
-    PaperOptions(avoid_targets=True, advance_when_alone=True, reassign="all"),
-    PaperOptions(reassign="all", exists=True, max_actions=4, exploration=0.5),
-    PaperOptions(leaf="zero", reassign="all", max_nodes=60),
+    PaperOptions(exploration=0.7, exists=False, max_actions=None),
+    PaperOptions(leaf="zero", exploration=2.0, exploration_unit="seconds", exists=False),
+    PaperOptions(leaf="nearest", max_actions=None),
+    PaperOptions(max_actions=2),
+    PaperOptions(max_actions=3, round_decimals=1, avoid_targets=True, exists=False),
+    PaperOptions(avoid_targets=True, advance_when_alone=True, reassign="all", exists=False),
+    PaperOptions(reassign="all", max_actions=4, exploration=0.5),
+    PaperOptions(leaf="zero", reassign="all", max_nodes=60, max_actions=None, exists=False),
 )
 
 
