@@ -16,6 +16,7 @@ STAGES = {
     "evaluate": "runs every planner on every trial",
     "report": "writes the report of an evaluation",
     "realism": "compares generated homes with real ones",
+    "housekeep": "measures models on where people put objects that they never saw",
     "ablation": "switches between the text of the paper and its authors' code, one by one",
     "optimality": "measures how far planners are from the best that any planner could do",
     "replay": "makes an episode to be watched, with the beliefs and the reasons",

@@ -43,7 +43,7 @@ class AdaptOptions:
     """
 
     kind_sd: float = 0.5
-    object_sd: float = 1.0
+    object_sd: float = 0.5
     forget: float = 0.02
 
     def __post_init__(self) -> None:
@@ -157,13 +157,13 @@ def _by_cell(
 def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
     """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior; by bisection."""
     weight = np.outer(weights, weights).ravel()
-    low, high = np.full(prior.shape, -MAX_LOG_ODDS), np.full(prior.shape, MAX_LOG_ODDS)
-    wanted = clip_probs(prior)
+    wanted, where = np.unique(clip_probs(prior), return_inverse=True)  # containers of one kind have the same
+    low, high = np.full(wanted.shape, -MAX_LOG_ODDS), np.full(wanted.shape, MAX_LOG_ODDS)
     for _ in range(STEPS):
         middle = (low + high) / 2.0
-        below = expit(middle[:, :, None] + shift.ravel()) @ weight < wanted
+        below = expit(middle[:, None] + shift.ravel()) @ weight < wanted
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    offsets: Floats = (low + high) / 2.0
+    offsets: Floats = ((low + high) / 2.0)[where].reshape(prior.shape)
     return offsets
 
 
