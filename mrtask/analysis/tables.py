@@ -95,7 +95,7 @@ def _improvement_rows(summary: Summary, published: Published, planner: str, cell
         if summary.compared(planner, baseline):
             title = f"Improvement of {planner_label(planner)} over {planner_label(baseline)}"
             rows.append(Row(f"{title}, its 95 % interval, and the paper's", heading=True))
-            entries = tuple(_improvement_entry(summary, published, cell, planner, baseline) for cell in cells)
+            entries = tuple(improvement_entry(summary, published, cell, planner, baseline) for cell in cells)
             rows.append(Row("improvement", entries))
     return rows
 
@@ -105,7 +105,7 @@ def _gap_rows(summary: Summary, planner: str, cells: Sequence[Cell]) -> list[Row
         return []
     return [
         Row(f"Share closed of the gap between {INFORMED_BASELINE} and {KNOWN}", heading=True),
-        Row(planner_label(planner), tuple(_percent_entry(summary.gap(cell, planner)) for cell in cells)),
+        Row(planner_label(planner), tuple(percent_entry(summary.gap(cell, planner)) for cell in cells)),
     ]
 
 
@@ -135,7 +135,7 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
         lines = [
             Row(
                 variant or "as configured",
-                tuple(_percent_entry(summary.improvement(cell, planner, baseline)) for cell in cells),
+                tuple(percent_entry(summary.improvement(cell, planner, baseline)) for cell in cells),
             )
             for variant, summary in summaries.items()
             if any((cell, planner, baseline) in summary.comparisons for cell in cells)
@@ -170,10 +170,11 @@ def _cost_entry(summary: Summary, published: Published, cell: Cell, planner: str
     return Entry(_cost_text(found.cost_cells), (interval_text(found.cost_cells), *details, *unfinished))
 
 
-def _improvement_entry(summary: Summary, published: Published, cell: Cell, planner: str, baseline: str) -> Entry:
+def improvement_entry(summary: Summary, published: Published, cell: Cell, planner: str, baseline: str) -> Entry:
+    """Our improvement with its interval and the published one, marked as above, around or below it."""
     estimate = summary.improvement(cell, planner, baseline)
     printed = published.improvement_of(planner, baseline, cell)
-    entry = _percent_entry(estimate)
+    entry = percent_entry(estimate)
     if printed is None:
         return entry
     mark = ""
@@ -183,7 +184,8 @@ def _improvement_entry(summary: Summary, published: Published, cell: Cell, plann
     return Entry(f"{entry.value} {mark}".strip(), (*entry.details, f"paper {printed:.2f} %"), tone)
 
 
-def _percent_entry(estimate: Estimate) -> Entry:
+def percent_entry(estimate: Estimate) -> Entry:
+    """A percentage with its interval."""
     return Entry(f"{estimate.value:.1f} %", (interval_text(estimate),)) if estimate.defined else Entry(NOTHING)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
-from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem
+from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
 from mrtask.planning.team import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.tree import (
@@ -63,8 +63,7 @@ class PouctOptions(SearchOptions):
         if self.widening_factor <= 0:
             raise ValueError(f"widening_factor must be > 0, not {self.widening_factor}")
         check_later_weight(self.later_weight)
-        if self.reassign not in ("all", "free"):
-            raise ValueError(f"reassign must be 'all' or 'free', not {self.reassign!r}")
+        check_choice("reassign", self.reassign, REASSIGN)
 
 
 class Pouct:

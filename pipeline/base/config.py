@@ -7,7 +7,7 @@ starts. Defaults live in ``conf/`` alone. Relative paths are relative to the cal
 import difflib
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -25,11 +25,12 @@ from pydantic import (
 )
 
 from mrtask.errors import InputError
-from mrtask.planning.planners import make_planner
+from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.tasks.templates import TEMPLATES
 
 Positive = Annotated[int, Field(ge=1)]
 SizeClass = Literal["small", "medium", "large"]
+_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class UserError(InputError):
@@ -132,6 +133,7 @@ class Map(_Section):
 
     resolution_m: float = Field(gt=0, le=1)
     robot_radius_m: float = Field(ge=0, le=2)
+    ways: Literal["shortest", "soft"]
 
 
 ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
@@ -193,6 +195,7 @@ class EvaluationHomes(_Section):
     files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
     assets: LocalPath | None
     skip_faulty: bool
+    order: Literal["shuffled", "file"]
 
 
 class Evaluation(_Section):
@@ -209,6 +212,8 @@ class Evaluation(_Section):
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
+    unsearched_share: tuple[_Share, _Share]
+    cost: Literal["makespan", "least_motion"]
     homes: EvaluationHomes
     model_uri: str = Field(pattern="^(models|runs):/")
     episode_timeout_s: float = Field(gt=0)
@@ -223,12 +228,40 @@ class Evaluation(_Section):
             raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
         return names
 
+    @field_validator("unsearched_share")
+    @classmethod
+    def _least_first(cls, share: tuple[float, float]) -> tuple[float, float]:
+        if share[0] > share[1]:
+            raise ValueError("give the least share first, the greatest second")
+        return share
+
+
+class PlannerVariant(_Section):
+    """A planner under another name: with some of its options changed, beside itself on the same trials."""
+
+    planner: str = Field(min_length=1)
+    options: dict[str, Any]
+
 
 class Realism(_Section):
     """How generated homes are compared with real ones."""
 
     generated_test: Positive
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
+class Arm(_Section):
+    """A named change of the configuration: ``key=value`` as on the command line."""
+
+    name: str = Field(min_length=1)
+    overrides: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1)]
+
+
+class Ablation(_Section):
+    """How `pipeline.ablation` goes from the configured protocol to another one, and from `pouct_paper` to `pouct`."""
+
+    switches: tuple[Arm, ...]
+    steps: tuple[Arm, ...]
 
 
 class Cluster(_Section):
@@ -274,14 +307,23 @@ class Config(_Section):
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
+    planner_variants: dict[str, PlannerVariant]
     evaluation: Evaluation
     realism: Realism
+    ablation: Ablation
     cluster: Cluster
     tracking: Tracking
 
     def planner_options(self, name: str) -> dict[str, Any]:
-        """The options of one planner; those of a planner of your own stand under its class's name."""
+        """The options of one planner or variant; those of a planner of your own stand under its class's name."""
+        if (variant := self.planner_variants.get(name)) is not None:
+            return self.planner_options(variant.planner) | variant.options
         return self.planner.get(name.rsplit(".", 1)[-1], {})
+
+    def planner_behind(self, name: str) -> str:
+        """The planner that a variant is one of; a planner's own name where it is none."""
+        variant = self.planner_variants.get(name)
+        return name if variant is None else variant.planner
 
 
 def load(composed: DictConfig) -> Config:
@@ -301,10 +343,21 @@ def load(composed: DictConfig) -> Config:
     return config
 
 
+def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
+    """The configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
+    changes = OmegaConf.from_dotlist(list(overrides))
+    return load(OmegaConf.merge(OmegaConf.create(config.model_dump(mode="json")), changes))
+
+
 def _check_planners(config: Config) -> None:
+    for name in config.planner_variants:
+        if name in PLANNERS:
+            raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
+        _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
     for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", name, config.planner_options(name))
-    own = {name.rsplit(".", 1)[-1] for name in config.evaluation.planners if "." in name}
+        _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+    behind = {config.planner_behind(name) for name in config.evaluation.planners}
+    own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
     for name in config.planner.keys() - own:
         _check_planner("planner", name, config.planner[name])
 

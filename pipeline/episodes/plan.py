@@ -71,15 +71,19 @@ def prepare(config: Config, home_set: HomeSet, model: RegisteredModel) -> Evalua
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir),
+        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir, config.map.ways),
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
             formula=options.formula,
             formula_objects=objects,
             robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            unsearched_share=options.unsearched_share,
+            cost=options.cost,
         ),
         planner_options={name: config.planner_options(name) for name in options.planners},
+        planners_behind={name: config.planner_behind(name) for name in options.planners},
+        home_order=options.homes.order,
         provenance={
             "model_version": model.version,
             "config_hash": content_hash(identity),
@@ -109,13 +113,18 @@ def episode_keys(config: Config, size_classes: Sequence[str]) -> tuple[EpisodeKe
 def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> dict[str, Any]:
     """Everything that decides what the rows say; rows of different identities are never mixed in one folder."""
     options = config.evaluation
+    ids = [home.id for home in evaluated]
     return {
         "seed": config.seed,
         "map": config.map.model_dump(mode="json"),
         "homes": config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         "evaluation": options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
-        "evaluated_homes": content_hash(sorted(home.id for home in evaluated)),
+        "evaluated_homes": content_hash(ids if options.homes.order == "file" else sorted(ids)),
+        "home_order": options.homes.order,
         "planner": {name: config.planner_options(name) for name in options.planners},
+        "variant_of": {
+            name: config.planner_behind(name) for name in options.planners if name in config.planner_variants
+        },
         "model_version": model.version,
         "code": source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
     }

@@ -7,7 +7,7 @@ find it ready.
 import resource
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -46,10 +46,11 @@ class MapOptions:
     resolution_m: float
     robot_radius_m: float
     cache_dir: Path
+    ways: str = "shortest"
 
     def map_of(self, home: Home) -> HomeMap:
         """The home's map, from the cache where it is there."""
-        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m)
+        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m, self.ways)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,13 @@ class Context:
     planner_options: Mapping[str, Mapping[str, Any]]
     provenance: Mapping[str, str]
     """The row's ``model_version``, ``config_hash`` and ``code_version``."""
+    planners_behind: Mapping[str, str] = field(default_factory=dict)
+    """The planner that each name stands for; a name that is not here stands for itself."""
+    home_order: str = "shuffled"
+
+    def planner(self, name: str) -> tuple[str, Mapping[str, Any]]:
+        """The planner behind a name, and its options."""
+        return self.planners_behind.get(name, name), self.planner_options.get(name, {})
 
 
 @dataclass(frozen=True)
@@ -90,9 +98,7 @@ def run_one(key: EpisodeKey, context: Context) -> dict[str, Any]:
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
     likelihood = context.table.matrix(home, trial.objects)
-    result = run_episode(
-        trial, home, bench.map_of(trial.home_id), likelihood, key.planner, context.planner_options.get(key.planner, {})
-    )
+    result = run_episode(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner))
     return _row(key, trial, home, result, context) | {
         "wall_s": time.perf_counter() - began_s,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -103,10 +109,9 @@ def warm(key: EpisodeKey, context: Context) -> None:
     """Compiles what the planner needs."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
-    options = context.planner_options.get(key.planner, {})
     likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    warm_up(trial, home, home_map, likelihood, key.planner, options)
+    warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 
 def failed_row(key: EpisodeKey, context: Context, status: str, error: str) -> dict[str, Any]:
@@ -131,7 +136,7 @@ class _Bench:
         self.map_of = lru_cache(maxsize=MAPS_KEPT)(lambda home_id: context.maps.map_of(self.homes[home_id]))
         self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)
         self._order = lru_cache(maxsize=None)(
-            lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed)
+            lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed, context.home_order)
         )
 
     def _sample(self, size_class: str, robots: int, number: int) -> Trial:

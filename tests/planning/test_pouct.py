@@ -7,13 +7,13 @@ from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
 from mrtask.planning.team import team_model
-from mrtask.tasks.templates import TEMPLATES
+from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import make_problem, random_problem
 
 CASES = [
     (template, robots, containers, seconds)
-    for template in TEMPLATES
+    for template in PAPER_TEMPLATES
     for robots, containers in ((1, 3), (2, 2), (3, 2))
     for seconds in ((0.0, 0.0), (1.0, 2.0))
 ]
