@@ -18,6 +18,8 @@ from mrtask.likelihood.table import build_table
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.words import ReadTask, read_task
 
+UNKNOWN_PROB = 0.1
+"""The likelihood of every object in every container where no model is asked."""
 START_REACH_M = 0.5
 """A start off the free floor is moved at most this far."""
 OWN_TASK = "formula"
@@ -35,18 +37,18 @@ class Scenario:
     """[C, O]"""
 
 
-def task_in(home: Home, text: str, objects: Collection[str] = (), *, robots: int) -> ReadTask:
+def task_in(home: Home, text: str, objects: Collection[str] | None = (), *, robots: int) -> ReadTask:
     """A task from a formula or from words about this home.
 
     Args:
-        objects: names beside those that the home's containers list; where none are listed, any name will do.
+        objects: names beside those that the home's containers list; None: any name will do.
 
     Raises:
         InputError: it is none, has more than one meaning, or delivers something with more than one robot.
     """
     listed = {name for container in home.containers for name in container.objects}
     places = [container.id for container in home.containers if container.id.isidentifier()]
-    task = read_task(text, {*listed, *objects} or None, places)
+    task = read_task(text, None if objects is None else {*listed, *objects}, places)
     if task.places and robots > 1:
         raise InputError(
             f"task {text!r}: deliveries (to {', '.join(task.places)}) are for one robot, since a formula cannot say "
@@ -64,11 +66,11 @@ def with_places(home: Home, places: Collection[str]) -> Home:
     return replace(home, containers=containers)
 
 
-def prior(home: Home, task: ReadTask, model: LikelihoodModel) -> NDArray[np.float64]:
-    """[C, O] the model's likelihoods of the task's objects; places are where they are."""
+def prior(home: Home, task: ReadTask, model: LikelihoodModel | None) -> NDArray[np.float64]:
+    """[C, O] the model's likelihoods of the task's objects, all equal without one; places are where they are."""
     names = [name for name in task.propositions if name not in task.places]
     likelihood = np.zeros((len(home.containers), len(task.propositions)))
-    scored = build_table(model, [home], names).matrix(home, names)
+    scored = UNKNOWN_PROB if model is None else build_table(model, [home], names).matrix(home, names)
     likelihood[:, [task.propositions.index(name) for name in names]] = scored
     for place in task.places:
         likelihood[:, task.propositions.index(place)] = [container.id == place for container in home.containers]
@@ -98,7 +100,7 @@ def make_scenario(
     name: str,
     home: Home,
     home_map: HomeMap,
-    model: LikelihoodModel,
+    model: LikelihoodModel | None,
     text: str,
     team: Team,
     *,

@@ -18,7 +18,7 @@ from pipeline.app.tool import CONF_DIR
 from pipeline.base.config import UserError
 
 SCENARIOS = CONF_DIR / "scenario"
-CATALOGUE = "catalogue"
+CATALOGUE, UNIFORM = "catalogue", "uniform"
 
 Coordinates = Annotated[tuple[float, float], Field(strict=False)]
 Existing = Annotated[Path, AfterValidator(lambda path: _existing(path))]
@@ -41,7 +41,7 @@ class Given(BaseModel):
     containers: Existing
     task: str = Field(min_length=1)
     objects: tuple[str, ...]
-    likelihood: str = Field(pattern="^(catalogue|(models|runs):/.+)$")
+    likelihood: str = Field(pattern="^(catalogue|uniform|(models|runs):/.+)$")
     tracking_uri: str = Field(min_length=1)
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
@@ -71,8 +71,10 @@ class Given(BaseModel):
         """The home's map, from the cache where it is there."""
         return cached_map(home, default_cache_dir() / "maps", self.resolution_m, self.robot_radius_m)
 
-    def model(self) -> LikelihoodModel:
-        """The likelihood model; raises `InputError` where a registered one cannot be used."""
+    def model(self) -> LikelihoodModel | None:
+        """The likelihood model, None for ``uniform``; raises `InputError` where a registered one cannot be used."""
+        if self.likelihood == UNIFORM:
+            return None
         if self.likelihood == CATALOGUE:
             return catalogue_model()
         from pipeline.backends import tracking  # MLflow takes seconds to import
@@ -114,7 +116,7 @@ def scenario_names() -> list[str]:
 def scenario_files(given: dict[str, Any], defaults: str) -> Sequence[Path]:
     """The files with the options' defaults: ``conf/<defaults>``, then those of the scenario that ``name`` asks for.
 
-    Paths in a scenario's file are relative to its folder.
+    ``given`` gets the paths of the scenario's map and containers, unless it has others.
 
     Raises:
         UserError: there is no such scenario.

@@ -61,12 +61,16 @@ def overrides(arguments: Sequence[str], verbatim: Collection[str] = ()) -> dict[
 def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, Any]) -> _Options:
     """The options of YAML files, each over those before it, and of the command line over all, checked.
 
+    Of files after the first, keys that the model does not have are left out: several tools read them.
+
     Raises:
         UserError: every mistake, with what is allowed.
     """
     planners = OmegaConf.create({"planner": OmegaConf.load(CONF_DIR / "planner" / "default.yaml")})
     try:
-        merged = OmegaConf.merge(planners, *(OmegaConf.load(path) for path in files))
+        first, *others = (OmegaConf.load(path) for path in files)
+        known = [{key: one[key] for key in one if key in model.model_fields} for one in others]
+        merged = OmegaConf.merge(planners, first, *known)
         for key, value in given.items():
             OmegaConf.update(merged, key, value, force_add=True)
         plain = OmegaConf.to_container(merged, resolve=True)
