@@ -10,9 +10,12 @@ pipeline/live_client.py. Killed and started again with the same state file it go
 import asyncio
 import contextlib
 import ipaddress
+import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -143,32 +146,43 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
 async def _pipes(hub: _Hub, done: asyncio.Event, ends: bool) -> None:
     """Standard input and output; ``ends``: the end of input is the end of all."""
     loop = asyncio.get_running_loop()
-    reader = asyncio.StreamReader(limit=2 * MAX_BYTES)
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     queue: asyncio.Queue[str | None] = asyncio.Queue()
-    hub.listeners["pipes"] = queue
-
     for text in await asyncio.to_thread(hub.session.begin):
         print(text, flush=True)
-    writing = asyncio.create_task(_forward(queue))
-    while True:
-        try:
-            line = await reader.readline()
-        except ValueError:  # longer than the reader's limit: what is left of it is read and refused as a line
-            line = b"x" * (MAX_BYTES + 1)
-        if not line:
-            break
-        if line.strip():
-            await hub.receive("pipes", line)
-    queue.put_nowait(None)
-    await writing
+    hub.listeners["pipes"] = queue
+
+    def read() -> None:
+        with contextlib.suppress(CancelledError, RuntimeError):  # the loop ended first
+            for line in lines_of(sys.stdin.fileno()):
+                asyncio.run_coroutine_threadsafe(hub.receive("pipes", line), loop).result()
+            loop.call_soon_threadsafe(queue.put_nowait, None)
+
+    threading.Thread(target=read, daemon=True).start()
+    try:
+        while (text := await queue.get()) is not None:
+            print(text, flush=True)
+    except BrokenPipeError:
+        done.set()
     if ends:
         done.set()
 
 
-async def _forward(queue: asyncio.Queue[str | None]) -> None:
-    while (line := await queue.get()) is not None:
-        print(line, flush=True)
+def lines_of(descriptor: int) -> Iterator[bytes]:
+    """The lines of a file, pipe or terminal that are not empty; of one that is too long only its beginning."""
+    held, too_long = b"", False
+    while chunk := os.read(descriptor, 65_536):
+        *ended, rest = (held + chunk).split(b"\n")
+        for line in ended:
+            if line.strip() and not too_long:
+                yield line
+            too_long = False
+        held = rest
+        if len(held) > MAX_BYTES:
+            if not too_long:
+                yield held
+            held, too_long = b"", True
+    if held.strip() and not too_long:
+        yield held
 
 
 def _is_loopback(host: str) -> bool:

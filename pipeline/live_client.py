@@ -74,8 +74,9 @@ class Client:
 class PipeClient(Client):
     """Starts the live team and talks to it by its standard input and output."""
 
-    def __init__(self, command: Sequence[str], **options: Any) -> None:
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1)
+    def __init__(self, command: Sequence[str], cwd: Any = None, **options: Any) -> None:
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, bufsize=1, cwd=cwd)
         super().__init__(lambda line: print(line, file=self.process.stdin, flush=True), **options)
         self._listen(iter(self.process.stdout or ()))
 

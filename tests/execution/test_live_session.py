@@ -31,7 +31,7 @@ def told(session, line):
     [
         ("", "JSON"),
         ("{", "JSON"),
-        ("[]", "dictionary"),
+        ("[]", "object"),
         ("{}", "discriminator"),
         ('{"type": "fly"}', "'fly'"),
         ('{"type": "arrived", "id": "a", "time_s": 1.0, "robot": "r1"}', "container"),
@@ -41,7 +41,7 @@ def told(session, line):
         ('{"type": "route_blocked", "id": "a", "time_s": 1}', "give a door, or x_m and y_m"),
         ("[" * 100_000, "nested"),
         ('{"a":' * 7 + "1" + "}" * 7, "nested"),
-        ('"' + "[" * 100 + '"', "dictionary"),
+        ('"' + "[" * 100 + '"', "object"),
         ("x" * (MAX_BYTES + 1), "bytes"),
     ],
 )
