@@ -20,7 +20,6 @@ STAGES = {
     "ablation": "switches between the text of the paper and its authors' code, one by one",
     "optimality": "measures how far planners are from the best that any planner could do",
     "replay": "makes an episode to be watched, with the beliefs and the reasons",
-    "housekeep": "measures likelihood models on where people put objects that they never saw",
 }
 TOOLS = {
     "score": ("mrtask.suite.score", "scores a planner on a suite of trials that never changes"),

@@ -77,6 +77,11 @@ class Route:
         line.append(self.position(driven_m).point(home_map))
         return _turning_points(line)
 
+    def points_after(self, home_map: HomeMap, driven_m: float) -> tuple[Point, ...]:
+        """The turning points of what is left after ``driven_m`` metres, ends included."""
+        ahead = [cell for cell, metres in zip(self.cells, self.reached_m, strict=True) if metres > driven_m]
+        return _turning_points([self.position(driven_m).point(home_map), *map(home_map.cell_center, ahead)])
+
 
 def plan_route(home_map: HomeMap, start: Position, container: int) -> Route:
     """The shortest route from a position to a reachable container."""

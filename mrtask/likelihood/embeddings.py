@@ -8,8 +8,6 @@ its vector does not depend on which others are asked for, and kept on disk by mo
 import contextlib
 import functools
 import hashlib
-import re
-import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from mrtask.errors import InputError
 from mrtask.files import default_cache_dir, replacing, sha256_of
+from mrtask.names import name_to_text
 
 if TYPE_CHECKING:
     from sentence_transformers import SentenceTransformer
@@ -29,20 +28,6 @@ BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9
 MIN_SIMILARITY = 0.65
 """Cosine from which two names may stand for one thing: ``couch`` and ``sofa`` (0.86) do, ``nightstand`` and ``bed``
 (0.60), which only stand together, do not."""
-
-_WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
-_SEPARATORS = re.compile(r"[\s_\-]+")
-
-
-def name_to_text(name: str) -> str:
-    """The words of a name: ``RemoteControl`` -> ``remote control``, ``TVStand`` -> ``tv stand``.
-
-    Defined for every string: lone surrogates become ``?``, other scripts stay; an empty name stays empty.
-    """
-    if not isinstance(name, str):
-        raise TypeError(f"a name must be a string, got {name!r} of type {type(name).__name__}")
-    clean = unicodedata.normalize("NFKC", name.encode("utf-8", "replace").decode("utf-8"))
-    return _SEPARATORS.sub(" ", _WORD_BOUNDARY.sub(" ", clean)).strip().lower()
 
 
 def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None) -> NDArray[np.float32]:

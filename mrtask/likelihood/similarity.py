@@ -19,9 +19,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logit
 
-from mrtask.likelihood.embeddings import BUNDLED, embed_names, name_to_text
+from mrtask.likelihood.embeddings import BUNDLED, embed_names
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, read_triples, write_description, write_triples
 from mrtask.likelihood.rows import TRIPLE
+from mrtask.names import name_to_text
 
 KIND = "similarity"
 OBJECT_TEMPERATURE, KIND_TEMPERATURE = 0.05, 0.1

@@ -398,7 +398,7 @@ def load(composed: DictConfig) -> Config:
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
-        raise UserError("\n".join(_explain(item) for item in error.errors())) from error
+        raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
     return config
 
@@ -454,7 +454,7 @@ _BOUNDS = {
 }
 
 
-def _explain(item: Any) -> str:
+def explain_error(item: Any) -> str:
     """One pydantic error as ``key=value: what is allowed``."""
     path = [str(part) for part in item["loc"]]
     if path[0] in UNIONS and len(path) > 1 and path[1] in UNIONS[path[0]]:

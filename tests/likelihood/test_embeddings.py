@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrtask.likelihood import embeddings
-from mrtask.likelihood.embeddings import EmbeddingError, embed_names, name_to_text
+from mrtask.likelihood.embeddings import EmbeddingError, embed_names
+from mrtask.names import name_to_text
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

@@ -1,0 +1,254 @@
+"""The messages between a live team and its robots, as pydantic models; `schemas` gives JSON Schema for each.
+
+Meant to be easy to map on what fleets speak. An order is one action of one robot with a route, as the nodes of a VDA
+5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's NavigateToPose:
+SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the one before.
+Every event has an ``id`` of the sender's own and the time at which it happened, in seconds on one clock for all.
+"""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
+
+PROTOCOL_VERSION = 1
+MAX_NAME = 200
+MAX_LISTED = 1000
+MAX_TIME_S = 1e9
+MAX_METRES = 1e6
+
+Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
+Seconds = Annotated[float, Field(ge=0, le=MAX_TIME_S)]
+Metres = Annotated[float, Field(ge=-MAX_METRES, le=MAX_METRES)]
+Outcome = Literal["FINISHED", "FAILED"]
+
+
+class Message(BaseModel):
+    """Anything on the wire."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Event(Message):
+    id: Name
+    time_s: Seconds
+
+
+class Pose(_Event):
+    """The robot is at this place."""
+
+    type: Literal["pose"]
+    robot: Name
+    x_m: Metres
+    y_m: Metres
+
+
+class Arrived(_Event):
+    """The robot is at the container that it was ordered to."""
+
+    type: Literal["arrived"]
+    robot: Name
+    container: Name
+
+
+class NavigationFailed(_Event):
+    """The robot gave up its way to the container."""
+
+    type: Literal["navigation_failed"]
+    robot: Name
+    container: Name
+    reason: str = Field(default="", max_length=MAX_NAME)
+
+
+class SearchEnded(_Event):
+    """The robot has searched the container: all objects that it saw; what is not among them is not there."""
+
+    type: Literal["search_ended"]
+    robot: Name
+    container: Name
+    status: Outcome = "FINISHED"
+    objects: tuple[Name, ...] = Field(default=(), max_length=MAX_LISTED)
+
+
+class ObjectSeen(_Event):
+    """An object was seen in a container in passing, or (``present`` false) seen not to be there any more."""
+
+    type: Literal["object_seen"]
+    container: Name
+    object: Name
+    present: bool = True
+    robot: Name | None = None
+
+
+class InteractionEnded(_Event):
+    """The robot has interacted with the object, or could not; ``gone``: because the object is not there."""
+
+    type: Literal["interaction_ended"]
+    robot: Name
+    container: Name
+    object: Name
+    status: Outcome = "FINISHED"
+    gone: bool = False
+
+
+class RobotLost(_Event):
+    """The robot takes part no more."""
+
+    type: Literal["robot_lost"]
+    robot: Name
+
+
+class RobotJoined(_Event):
+    """A new robot, or one that was lost, takes part from this place on."""
+
+    type: Literal["robot_joined"]
+    robot: Name
+    x_m: Metres
+    y_m: Metres
+
+
+class _Barrier(_Event):
+    door: Name | None = None
+    x_m: Metres | None = None
+    y_m: Metres | None = None
+    radius_m: float = Field(default=0.3, gt=0, le=10)
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.door is None) == (self.x_m is None or self.y_m is None):
+            raise ValueError("give a door, or x_m and y_m")
+        return self
+
+
+class RouteBlocked(_Barrier):
+    """Nobody gets through this door, or past this place (a disc of ``radius_m``)."""
+
+    type: Literal["route_blocked"]
+
+
+class RouteCleared(_Barrier):
+    """What was blocked with the same door or place is free again."""
+
+    type: Literal["route_cleared"]
+
+
+Event = Annotated[
+    Pose
+    | Arrived
+    | NavigationFailed
+    | SearchEnded
+    | ObjectSeen
+    | InteractionEnded
+    | RobotLost
+    | RobotJoined
+    | RouteBlocked
+    | RouteCleared,
+    Field(discriminator="type"),
+]
+
+
+class Batch(Message):
+    """Events of one instant, all taken in before anybody is sent anywhere; with ``more`` another batch follows."""
+
+    type: Literal["batch"]
+    events: tuple[Event, ...] = Field(max_length=MAX_LISTED)
+    more: bool = False
+
+
+class Hello(Message):
+    """Asks for `Welcome`, the present orders and the task's state; the first message on a WebSocket."""
+
+    type: Literal["hello"]
+    version: int = PROTOCOL_VERSION
+    token: str | None = Field(default=None, max_length=MAX_NAME)
+
+
+Incoming = Annotated[
+    Pose
+    | Arrived
+    | NavigationFailed
+    | SearchEnded
+    | ObjectSeen
+    | InteractionEnded
+    | RobotLost
+    | RobotJoined
+    | RouteBlocked
+    | RouteCleared
+    | Batch
+    | Hello,
+    Field(discriminator="type"),
+]
+
+
+class Welcome(Message):
+    """What the live team is about."""
+
+    type: Literal["welcome"] = "welcome"
+    version: int = PROTOCOL_VERSION
+    task: str
+    formula: str
+    objects: tuple[str, ...]
+    containers: tuple[str, ...]
+    robots: tuple[str, ...]
+    last_event: str | None
+    """The id of the last event that was taken in: where to go on after a break."""
+
+
+class Answer(Message):
+    """What became of an event: ``duplicate`` and ``rejected`` ones changed nothing; ``reason`` says why."""
+
+    type: Literal["answer"] = "answer"
+    event: str | None
+    status: Literal["accepted", "duplicate", "rejected"]
+    reason: str = ""
+
+
+class Order(Message):
+    """What a robot is to do from now on; it takes the place of the robot's order before."""
+
+    type: Literal["order"] = "order"
+    order: int
+    robot: str
+    action: Literal["navigate", "search", "interact", "wait"]
+    container: str | None = None
+    object: str | None = None
+    route: tuple[tuple[float, float], ...] = ()
+    """Turning points in metres, from where the robot is taken to be to where it is to stop."""
+    length_m: float = 0.0
+
+
+class Letter(Message):
+    """An interaction that counted."""
+
+    time_s: float
+    robot: str
+    object: str
+    container: str
+
+
+class TaskState(Message):
+    """How far the task is; ``stuck`` says why nobody can go on, until some event helps."""
+
+    type: Literal["task"] = "task"
+    status: Literal["running", "done", "stuck"]
+    time_s: float
+    word: tuple[Letter, ...]
+    reason: str = ""
+
+
+Outgoing = Welcome | Answer | Order | TaskState
+INCOMING: TypeAdapter[Any] = TypeAdapter(Incoming)
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """The JSON Schema of every message, by its ``type``."""
+    incoming = (
+        Pose, Arrived, NavigationFailed, SearchEnded, ObjectSeen, InteractionEnded, RobotLost, RobotJoined,
+        RouteBlocked, RouteCleared, Batch, Hello,
+    )  # fmt: skip
+    models: tuple[type[Message], ...] = (*incoming, Welcome, Answer, Order, TaskState)
+    result = {}
+    for model in models:
+        schema = model.model_json_schema(mode="validation")
+        kind = schema["properties"]["type"]
+        result[kind.get("const") or kind["default"]] = schema
+    return result

@@ -1,0 +1,18 @@
+"""Names in words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
+
+import re
+import unicodedata
+
+_WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
+_SEPARATORS = re.compile(r"[\s_\-]+")
+
+
+def name_to_text(name: str) -> str:
+    """The words of a name: ``RemoteControl`` -> ``remote control``, ``TVStand`` -> ``tv stand``.
+
+    Defined for every string: lone surrogates become ``?``, other scripts stay; an empty name stays empty.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"a name must be a string, got {name!r} of type {type(name).__name__}")
+    clean = unicodedata.normalize("NFKC", name.encode("utf-8", "replace").decode("utf-8"))
+    return _SEPARATORS.sub(" ", _WORD_BOUNDARY.sub(" ", clean)).strip().lower()

@@ -1,0 +1,305 @@
+"""Tasks in words: ``laptop or wallet, then remote, then tv`` and ``bring the mug to the sofa`` become formulas.
+
+Words for objects are joined by ``and``, ``or`` and ``then``; a comma in front of one of these binds loosest, a comma in
+a list stands for the word at the list's end (``a, b and c``), and brackets say the rest. Every way to bracket the text
+is tried: where two of them are different tasks, the text is refused with the readings that it could have.
+
+``a then b`` is the template ``seq2``: b is not to be done before a. A delivery is the interaction with the object and
+later one with the place, which is a container's name; a formula cannot say that one robot does both.
+"""
+
+import difflib
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, islice, pairwise, product
+from typing import Literal
+
+from mrtask.errors import InputError
+from mrtask.names import name_to_text
+from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.formula import RESERVED_WORDS, check_names
+
+MAX_CHARACTERS = 500
+MAX_LEAVES = 10
+"""Objects and deliveries in one text."""
+READINGS_TRIED, READINGS_SHOWN = 64, 4
+NAMES_SHOWN = 20
+_OPERATORS: tuple["Operator", ...] = ("then", "or", "and")
+_VERBS = ("bring", "deliver", "take", "carry", "put")
+_TO = ("to", "on", "onto", "in", "into")
+_IGNORED = ("the", "a", "an", "first", "please", "find", "reach")
+_TOKEN = re.compile(r"[^\W\d][\w\-]*|[,()]")
+_FORMULA = re.compile(rf"[!&|]|->|(?<!\w)({'|'.join(RESERVED_WORDS)})(?!\w)")
+
+Operator = Literal["and", "or", "then"]
+
+
+class WordsError(InputError):
+    """A text that is no task in words, or more than one: ``readings`` then holds some, brackets written out."""
+
+    def __init__(self, message: str, text: str, readings: Sequence[str] = ()) -> None:
+        self.readings = tuple(readings)
+        listed = "".join(f"\n  {reading}" for reading in readings)
+        super().__init__(f"task {text!r}: {message}{listed}")
+
+
+@dataclass(frozen=True)
+class ReadTask:
+    """A task as a formula. ``places``: the containers among the propositions, to which something is delivered."""
+
+    formula: str
+    propositions: tuple[str, ...]
+    places: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Leaf:
+    """An interaction with an object or, with a ``place``, a delivery to it."""
+
+    name: str
+    place: str = ""
+
+    def words(self) -> str:
+        return f"bring {self.name} to {self.place}" if self.place else self.name
+
+    def leaves(self) -> list["_Leaf"]:
+        return [self]
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """Two or more parts under one operator; no part has the same."""
+
+    operator: Operator
+    parts: tuple["_Tree", ...]
+
+    def words(self) -> str:
+        parts = [f"({part.words()})" if isinstance(part, _Joined) else part.words() for part in self.parts]
+        return f" {self.operator} ".join(parts)
+
+    def leaves(self) -> list[_Leaf]:
+        return [leaf for part in self.parts for leaf in part.leaves()]
+
+
+_Tree = _Leaf | _Joined
+
+
+@dataclass(frozen=True)
+class _Link:
+    """What stands between two items; ``operator`` is None for a comma alone, ``loose`` says that a comma is there."""
+
+    operator: Operator | None
+    loose: bool
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Items with the links between them: what stands within one pair of brackets."""
+
+    items: tuple["_Leaf | _Group", ...]
+    links: tuple[_Link, ...]
+
+
+def read_task(text: str, objects: Collection[str] | None = None, places: Collection[str] | None = None) -> ReadTask:
+    """A task from a formula or from words.
+
+    A text with one of the formula's own signs (``! & | ->``, ``F U X G true false``) is a formula, any other is words.
+
+    Args:
+        objects: the names that objects may have; words are matched with them (``remote control`` is ``RemoteControl``,
+            and so is ``remote`` where no other name has that word). None allows every name, its words joined by ``_``.
+        places: likewise the containers to which something may be delivered.
+
+    Raises:
+        FormulaError: the text is a formula with a mistake.
+        WordsError: it is no task in words, an unknown name, or has more than one meaning.
+    """
+    if _FORMULA.search(text):
+        automaton = build_automaton(text)
+        allowed = None if objects is None else {*objects, *(places or ())}
+        build_automaton(text, allowed)
+        return ReadTask(text, automaton.propositions, tuple(n for n in automaton.propositions if n in (places or ())))
+    group = _Parser(text, objects, places).parse()
+    tree = _only_meaning(text, group)
+    leaves = tree.leaves()
+    places_named = tuple(dict.fromkeys(leaf.place for leaf in leaves if leaf.place))
+    names = [leaf.name for leaf in leaves]
+    for one in names:
+        if names.count(one) > 1 or one in places_named:
+            raise WordsError(f"{one} comes twice; say with a formula what is to be done again, and when", text)
+    return ReadTask(_formula(tree, ()), (*names, *places_named), places_named)
+
+
+class _Parser:
+    def __init__(self, text: str, objects: Collection[str] | None, places: Collection[str] | None) -> None:
+        self.text, self.objects, self.places = text, objects, places
+        if len(text) > MAX_CHARACTERS:
+            raise WordsError(f"is longer than {MAX_CHARACTERS} characters; give a formula", text[:40] + "...")
+        if stray := _TOKEN.sub("", text).strip():
+            raise WordsError(f"unexpected {stray[0]!r}; words, commas and brackets are allowed", text)
+        self.tokens: list[str] = [match.group() for match in _TOKEN.finditer(text)] + [""]
+        self.next = 0
+        self.leaves = 0
+
+    def parse(self) -> _Group:
+        group = self._group()
+        if self._peek() == ")":
+            raise WordsError("a ')' closes nothing", self.text)
+        return group
+
+    def _peek(self) -> str:
+        return self.tokens[self.next].lower()
+
+    def _group(self) -> _Group:
+        items, links = [self._item()], []
+        while self._peek() not in ("", ")"):
+            loose = self._peek() == ","
+            self.next += loose
+            operator = next((one for one in _OPERATORS if one == self._peek()), None)
+            self.next += operator is not None
+            if not loose and operator is None:
+                raise WordsError(f"'and', 'or', 'then' or a comma is missing before {self._peek()!r}", self.text)
+            links.append(_Link(operator, loose))
+            items.append(self._item())
+        return _Group(tuple(items), self._with_lists(links, items))
+
+    def _item(self) -> "_Leaf | _Group":
+        if self._peek() == "(":
+            self.next += 1
+            group = self._group()
+            if self._peek() != ")":
+                raise WordsError("a '(' is never closed", self.text)
+            self.next += 1
+            return group
+        self.leaves += 1
+        if self.leaves > MAX_LEAVES:
+            raise WordsError(f"names more than {MAX_LEAVES} objects; give a formula", self.text)
+        delivers = False
+        while self._peek() in (*_IGNORED, *_VERBS) and self._goes_on():
+            delivers |= self._peek() in _VERBS
+            self.next += 1
+        name = self._name("an object", self.objects)
+        if not delivers:
+            return _Leaf(name)
+        if self._peek() not in _TO:
+            raise WordsError(
+                f"where is {name} to be brought? A delivery is one object to one place, as in 'bring {name} to sofa', "
+                f"and several are joined: 'bring a to b and bring c to d'",
+                self.text,
+            )
+        self.next += 1
+        while self._peek() in _IGNORED and self._goes_on():
+            self.next += 1
+        return _Leaf(name, self._name("a place", self.places))
+
+    def _goes_on(self) -> bool:
+        """Whether a name can still follow the next word."""
+        return self.tokens[self.next + 1].lower() not in ("", ",", "(", ")", *_OPERATORS, *_TO)
+
+    def _name(self, what: str, allowed: Collection[str] | None) -> str:
+        words: list[str] = []
+        while self._peek() not in ("", ",", "(", ")", *_OPERATORS) and not (words and self._peek() in _TO):
+            words.append(self.tokens[self.next])
+            self.next += 1
+        if not words:
+            found = repr(self.tokens[self.next]) if self._peek() else "the end"
+            raise WordsError(f"{what} is missing before {found}", self.text)
+        return self._known(what, words, allowed)
+
+    def _known(self, what: str, words: list[str], allowed: Collection[str] | None) -> str:
+        if allowed is None:
+            return check_names(["_".join(words).replace("-", "_")])[0]
+        wanted = name_to_text(" ".join(words))
+        names = {name: name_to_text(name) for name in sorted(allowed)}
+        fitting = [name for name, words_of in names.items() if words_of == wanted] or [
+            name for name, words_of in names.items() if set(wanted.split()) <= set(words_of.split())
+        ]
+        if len(fitting) == 1:
+            return fitting[0]
+        if fitting:
+            raise WordsError(f"{wanted!r} could be any of these; give the name in full", self.text, fitting)
+        near = difflib.get_close_matches(wanted, names.values(), n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        listed = ", ".join(list(names)[:NAMES_SHOWN]) or "none"
+        more = f", ... ({len(names)} in all)" if len(names) > NAMES_SHOWN else ""
+        raise WordsError(f"{wanted!r} is not {what} here{hint}; allowed: {listed}{more}", self.text)
+
+    def _with_lists(self, links: list[_Link], items: Sequence["_Leaf | _Group"]) -> tuple[_Link, ...]:
+        """The links with what the commas of lists stand for: the ``and`` or ``or`` that ends the list."""
+        result = list(links)
+        for index in reversed(range(len(links))):
+            if links[index].operator is not None:
+                continue
+            end = index + 1 < len(links) and result[index + 1].operator
+            if end not in ("and", "or"):
+                spoken = ["..." if isinstance(item, _Group) else item.words() for item in items[index : index + 2]]
+                readings = [f"{spoken[0]} {operator} {spoken[1]}" for operator in reversed(_OPERATORS)]
+                raise WordsError("what does the comma stand for? It could be", self.text, readings)
+            result[index] = result[index + 1] = _Link(result[index + 1].operator, loose=False)
+        return tuple(result)
+
+
+def _only_meaning(text: str, group: _Group) -> _Tree:
+    """The reading of a text all of whose readings are the same task."""
+    readings = list(islice(_readings(group.items, group.links), READINGS_TRIED))
+    if len(readings) == 1:
+        return readings[0]
+    meanings: dict[bytes, _Tree] = {}
+    for tree in readings:
+        letters = sorted({name for leaf in tree.leaves() for name in (leaf.name, leaf.place) if name})
+        automaton = build_automaton(_formula(tree, ()), letters)
+        meanings.setdefault(automaton.transitions.tobytes() + automaton.accepting.tobytes(), tree)
+    if len(meanings) > 1 or len(readings) == READINGS_TRIED:
+        shown = [tree.words() for tree in islice(meanings.values(), READINGS_SHOWN)]
+        raise WordsError(
+            "could mean different things; put brackets, or a comma where it should part. Readings:", text, shown
+        )
+    return readings[0]
+
+
+def _readings(
+    items: Sequence["_Leaf | _Group"], links: Sequence[_Link], taken: Operator | None = None
+) -> Iterator[_Tree]:
+    """All ways to bracket the items, but with ``taken`` on top, which the part above has already."""
+    if not links:
+        (item,) = items
+        if isinstance(item, _Leaf):
+            yield item
+        else:
+            yield from _readings(item.items, item.links)
+        return
+    loose = any(link.loose for link in links)
+    for operator in _OPERATORS:
+        if operator == taken:
+            continue
+        places = [i for i, link in enumerate(links) if link.operator == operator and link.loose == loose]
+        for count in range(len(places), 0, -1):
+            for cuts in combinations(places, count):
+                edges = [-1, *cuts, len(links)]
+                parts = [list(_readings(items[a + 1 : b + 1], links[a + 1 : b], operator)) for a, b in pairwise(edges)]
+                yield from (_Joined(operator, tree) for tree in product(*parts))
+
+
+def _formula(tree: _Tree, later: tuple[str, ...]) -> str:
+    """The formula of a tree none of whose interactions may come after one with the objects ``later``."""
+    if isinstance(tree, _Leaf):
+        before = " & ".join(f"!{name}" for name in later)
+        before = f"({before})" if len(later) > 1 else before
+
+        def eventually(what: str) -> str:
+            return f"({before} U {what})" if later else f"F {what}"
+
+        return eventually(f"({tree.name} & X {eventually(tree.place)})") if tree.place else eventually(tree.name)
+    if tree.operator == "then":
+        parts = []
+        for index, part in enumerate(tree.parts):
+            after = [leaf.name for stage in tree.parts[index + 1 :] for leaf in stage.leaves()]
+            parts.append(_formula(part, (*after, *later)))
+        return " & ".join(f"({part})" if " | " in part else part for part in parts)
+    parts = [_formula(part, later) for part in tree.parts]
+    if tree.operator == "or":
+        return " | ".join(
+            f"({text})" if isinstance(part, _Joined) else text for part, text in zip(tree.parts, parts, strict=True)
+        )
+    return " & ".join(f"({part})" if " | " in part else part for part in parts)
