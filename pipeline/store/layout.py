@@ -8,6 +8,7 @@ stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html and table.csv, and `ReportKey` in manifest.json
 homes/, realism/      what draw=true and pipeline.realism leave
 cells/<cell>/         of a sweep: one output_dir for each cell
+runs/<arm>-<key>/     of an ablation: one output_dir for each evaluation
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -24,12 +25,18 @@ REPORT_KEY = "manifest.json"
 HOMES = "homes"
 REALISM = "realism"
 CELLS = "cells"
+RUNS = "runs"
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
     for name in (EPISODES, IDENTITY, MANIFEST, REPORT, STAGES):
         folder.remove(name)
+
+
+def runs(folder: Folder, name: str, key: str) -> Folder:
+    """The folder of one evaluation of an ablation."""
+    return folder / RUNS / f"{name}-{key}"
 
 
 def cells(folder: Folder) -> list[Folder]:
