@@ -1,7 +1,7 @@
 """Goes from the configured protocol to the authors' one switch at a time, and says which moves the improvements.
 
 Arms (conf/ablation): "paper", the experiment as configured; "paper + x" with one switch added; "authors" with all of
-them; "authors - x" without one; and the steps from the paper's planner to ours. One page in <output_dir>/report.
+them; "authors - x" without one; and the steps from the paper's text to our planner. One page in <output_dir>/report.
 
 Arms that differ in planners' options alone run on the same trials, as variants in one evaluation
 (<output_dir>/runs/...): their rows are paired, planners that do not differ run once, and a run that is interrupted goes
@@ -104,10 +104,11 @@ def protocols(ablation: Ablation) -> list[Protocol]:
     switches = ablation.switches
     every = tuple(override for switch in switches for override in switch.overrides)
     found = [Protocol(PAPER, (), in_detail=True)]
-    found += [Protocol(f"{PAPER} + {switch.name}", switch.overrides) for switch in switches]
+    if ablation.added_alone:
+        found += [Protocol(f"{PAPER} + {switch.name}", switch.overrides) for switch in switches]
     if switches:
         found.append(Protocol(AUTHORS, every, in_detail=True))
-    for left_out in switches:
+    for left_out in switches if ablation.taken_alone else ():
         rest = tuple(override for switch in switches if switch is not left_out for override in switch.overrides)
         found.append(Protocol(f"{AUTHORS} - {left_out.name}", rest))
     so_far = accumulate(step.overrides for step in ablation.steps)

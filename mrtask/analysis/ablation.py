@@ -17,7 +17,6 @@ from mrtask.analysis.columns import Entry, Row, Table
 from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import Findings
 from mrtask.analysis.published import Cell, Published, load_published
-from mrtask.analysis.sections import render_fragment
 from mrtask.analysis.statistics import (
     ALL_TEAMS,
     BASELINES,
@@ -31,6 +30,7 @@ from mrtask.analysis.statistics import (
 )
 from mrtask.analysis.style import NOTHING, counted, planner_label
 from mrtask.analysis.tables import ABOVE, BELOW, LEVEL, improvement_entry, percent_entry
+from mrtask.analysis.templating import render_fragment
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planners_with_role
 
 OUR_PLANNER = planners_with_role(Role.OURS)[0]
@@ -81,14 +81,13 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
     published = load_published()
     checked = [(rows, checked_episodes(rows.episodes)) for rows in arms]
     found = [_Arm(rows, episodes, summarise(episodes)) for rows, episodes in checked]
-    protocols = [arm for arm in found if not arm.rows.is_step]
     marks = {"above": ABOVE, "level": LEVEL, "below": BELOW}
     parts: list[tuple[str, str, Table | None]] = [
-        ("verdicts", "The paper's planner", verdict_table(protocols, published, PAPERS_PLANNER)),
+        ("verdicts", "The paper's planner", verdict_table(found, published, PAPERS_PLANNER)),
         (
             "ours",
             f"{planner_label(OUR_PLANNER)} under every protocol",
-            verdict_table(protocols, published, OUR_PLANNER),
+            verdict_table(found, published, OUR_PLANNER),
         ),
         ("steps", f"From {PAPERS_PLANNER} to {OUR_PLANNER}", step_table([a for a in found if a.rows.is_step])),
         ("templates", "By template", template_table([arm for arm in found if arm.rows.in_detail])),
@@ -106,7 +105,7 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
         "page",
         title=f"mrtask: ablation of {experiment}",
         question="Which parts of the protocol make the published improvements, and which of ours beat them?",
-        findings=findings(protocols, published),
+        findings=findings(found, published),
         warnings=[],
         variants=1,
         shown="",

@@ -58,7 +58,7 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
         _label(lines, container.footprint, ax)
     if names:
         for room in home.rooms:
-            x, y = _clear_spot(home, room)
+            x, y = clear_spot(home, room)
             text = ax.text(x, y, room.type, fontsize=ROOM_FONT_PT, color=ROOM_NAME_COLOR, **CENTERED)
             text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="#ffffffb0")])
     if home_map is not None:
@@ -135,7 +135,7 @@ def _draw_walls(home: Home, ax: Axes) -> None:
         )
 
 
-def _clear_spot(home: Home, room: Room) -> tuple[float, float]:
+def clear_spot(home: Home, room: Room) -> tuple[float, float]:
     """The middle of the largest circle on the room's floor that no furniture stands in."""
     floor = ShapelyPolygon(room.polygon)
     footprints = [*(item.footprint for item in home.containers), *(item.footprint for item in home.obstacles)]

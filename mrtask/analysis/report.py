@@ -14,8 +14,9 @@ from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import main_planner
 from mrtask.analysis.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.result_table import result_table
-from mrtask.analysis.sections import SECTIONS, render_fragment
+from mrtask.analysis.sections import SECTIONS
 from mrtask.analysis.style import planner_label
+from mrtask.analysis.templating import render_fragment
 from mrtask.analysis.trajectories import Pick, baseline_beside, instructive_trials
 from mrtask.files import replacing
 from mrtask.homes.home import Home
@@ -31,7 +32,12 @@ class Report:
     table: str
 
 
-def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Mapping[str, Home]) -> Report:
+def render_report(
+    episodes: pd.DataFrame,
+    manifest: Mapping[str, Any],
+    homes: Mapping[str, Home],
+    optimality: pd.DataFrame | None = None,
+) -> Report:
     """The report of a run, or of a sweep.
 
     Args:
@@ -40,11 +46,12 @@ def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Ma
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.facts` reads it, and all of it is optional.
         homes: home id -> home, for drawing; trials in other homes are not drawn. `trials_to_draw` names those needed.
+        optimality: one row per trial whose lower bound was computed; see `mrtask.analysis.bounds.assess`.
 
     Raises:
         ValueError: a column is missing, or the episodes contradict each other.
     """
-    data = collect_report_data(episodes, manifest, homes)
+    data = collect_report_data(episodes, manifest, homes, optimality)
     table = result_table(data.summaries, data.published)
     return Report(render_page(data), table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
 
@@ -91,7 +98,7 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> list[
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
     if planner is None:
         return []
-    return instructive_trials(rows, planner, baseline_beside(rows, planner))
+    return instructive_trials(rows, planner, baseline_beside(rows["planner"], planner))
 
 
 def _question(planner: str | None) -> str:

@@ -7,9 +7,7 @@ and pictures with the macros of ``parts.html.jinja``.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 
-import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -20,6 +18,7 @@ from mrtask.analysis.report_data import ReportData
 from mrtask.analysis.result_table import planner_table
 from mrtask.analysis.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, RULE
 from mrtask.analysis.style import counted, data_uri, planner_label
+from mrtask.analysis.templating import render_fragment
 from mrtask.analysis.trajectories import baseline_beside, draw_trial, instructive_trials
 
 
@@ -42,23 +41,6 @@ class Picture:
     uri: str
     title: str
     caption: str
-
-
-@cache
-def templates() -> jinja2.Environment:
-    """The report's templates; values in them are escaped."""
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("mrtask.analysis"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def render_fragment(template: str, **values: object) -> Markup:
-    """The HTML of ``templates/<template>.html.jinja``."""
-    return Markup(templates().get_template(f"{template}.html.jinja").render(values))
 
 
 def paper_table_section(data: ReportData) -> Markup:
@@ -115,6 +97,13 @@ def planners_section(data: ReportData) -> Markup:
     )
 
 
+def optimality_section(data: ReportData) -> Markup | None:
+    """How far planners are from the best that any planner can reach; None where it was not measured."""
+    if not data.optimality:
+        return None
+    return render_fragment("optimality", table=tables.optimality_table(data.optimality))
+
+
 def model_section(data: ReportData) -> Markup:
     """What the likelihood model is and how good."""
     return render_fragment("model", model=data.model)
@@ -154,6 +143,7 @@ SECTIONS: Sequence[Section] = (
     Section("figures", "Figures", "Figures", figures_section),
     Section("trajectories", "Trajectories", "Trajectories", trajectories_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
+    Section("optimality", "Optimality", "How far from optimal", optimality_section),
     Section("model", "Likelihood model", "Likelihood model", model_section),
     Section("homes", "Homes", "Homes", homes_section),
     Section("run", "Run", "Run", run_section),
@@ -221,7 +211,7 @@ def _trajectories(data: ReportData) -> list[Picture]:
     rows, planner = data.rows, data.planner
     if planner is None or "trace" not in rows.columns:
         return []
-    baseline = baseline_beside(rows, planner)
+    baseline = baseline_beside(rows["planner"], planner)
     names = [planner] if baseline is None else [planner, baseline]
     pictures = []
     for pick in instructive_trials(rows, planner, baseline, data.homes.keys()):

@@ -9,6 +9,7 @@ import numpy as np
 
 from mrtask.analysis.columns import Column, Entry, Row, Table, interval_text, make_table
 from mrtask.analysis.episodes import Variant
+from mrtask.analysis.optimality import CellOptimality
 from mrtask.analysis.published import Published, RealWorldTrial
 from mrtask.analysis.result_table import published_name
 from mrtask.analysis.statistics import (
@@ -55,6 +56,19 @@ REAL_WORLD_COLUMNS = (
     Column[RealWorldTrial](
         lambda trial: 100 * (1 - trial.planner_m / trial.myopic_m), ("", "improvement"), digits=1, unit=" %"
     ),
+)
+OPTIMALITY_COLUMNS = (
+    Column[CellOptimality](lambda cell: cell.gap_percent.n, ("", "trials")),
+    Column[CellOptimality](lambda cell: cell.cost_s, ("mean makespan", "planner"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.bound_s, ("mean makespan", "bound"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.clairvoyant_s, ("mean makespan", "clairvoyant"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.gap_percent, ("planner above bound", "of means"), digits=1, unit=" %"),
+    Column[CellOptimality](
+        lambda cell: cell.median_gap_percent, ("planner above bound", "median trial"), digits=1, unit=" %"
+    ),
+    Column[CellOptimality](lambda cell: 100 * cell.exact_share, ("bound", "exact"), unit=" %"),
+    Column[CellOptimality](lambda cell: cell.bound_seconds, ("bound", "CPU time"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.failed, ("", "unfinished")),
 )
 
 
@@ -152,6 +166,18 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
         rows.append(Row(variant or "as configured", entries))
     teams = (("all teams" if count == ALL_TEAMS else counted(count, "robot")) for _, count in cells)
     return Table(tuple((name, team) for (name, _), team in zip(cells, teams, strict=True)), tuple(rows))
+
+
+def optimality_table(cells: Sequence[CellOptimality]) -> Table:
+    """How far planners are from optimal, cell by cell."""
+    several = len({cell.planner for cell in cells}) > 1
+    return make_table(
+        OPTIMALITY_COLUMNS,
+        [
+            (f"{cell_name(cell.cell)}, {planner_label(cell.planner)}" if several else cell_name(cell.cell), cell)
+            for cell in cells
+        ],
+    )
 
 
 def real_world_table(published: Published) -> Table:

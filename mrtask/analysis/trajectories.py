@@ -5,7 +5,7 @@ the baseline, where it saved the median, and where it lost most.
 """
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -84,9 +84,9 @@ def instructive_trials(
     return picks
 
 
-def baseline_beside(episodes: pd.DataFrame, planner: str) -> str | None:
+def baseline_beside(planners: Iterable[str], planner: str) -> str | None:
     """The planner drawn beside the main one: the informed baseline, or the first other that ran; None if none did."""
-    ran = set(episodes["planner"])
+    ran = set(planners)
     candidates = (INFORMED_BASELINE, *BASELINES, *sorted(ran))
     return next((name for name in candidates if name in ran and name != planner), None)
 
@@ -210,12 +210,12 @@ def _letters_by_place(trace: Trace) -> dict[tuple[int, Point, str], list[str]]:
     """``(robot, place, container)`` -> what it interacted with there and when, in time order."""
     found: dict[tuple[int, Point, str], list[str]] = {}
     for letter in trace.letters:
-        place = _place_at(trace.robots[letter.robot], letter.t_s, trace.start)
+        place = place_at(trace.robots[letter.robot], letter.t_s, trace.start)
         found.setdefault((letter.robot, place, letter.container), []).append(f"{letter.object} {letter.t_s:.0f} s")
     return found
 
 
-def _place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
+def place_at(legs: Sequence[Leg], t_s: float, start: Point) -> Point:
     """Where a robot stands at this time: the end of its last finished leg."""
     places = [leg.path[-1] for leg in legs if leg.t1_s <= t_s + 1e-6]
     return places[-1] if places else start

@@ -1,6 +1,6 @@
 """One planner on one trial, from the first decision to acceptance or a stated failure."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -13,6 +13,7 @@ from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import Plan, Planner, PlanningProblem
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05
@@ -21,6 +22,8 @@ MAX_DECISIONS = 1000
 IDLE_DECISIONS_PER_ROBOT = 10
 """An episode fails with so many decisions in a row between which nothing was learned or done: its planner goes round in
 circles. A team needs no more than one or two each, for robots that take up a place early."""
+Observer = Callable[[float, PlanningProblem, Plan], None]
+"""Told of each decision: the time in seconds, what the planner saw and what it answered."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,8 @@ class EpisodeResult:
     samples: int
     error: str | None
     trace: Trace
+    searched: tuple[bool, ...]
+    """Of each container: whether its contents were seen, or known from the start."""
 
 
 def run_episode(
@@ -46,17 +51,20 @@ def run_episode(
     planner_name: str,
     planner_options: Mapping[str, object] | None = None,
     *,
+    planner: Planner | None = None,
     max_decisions: int = MAX_DECISIONS,
+    observe: Observer | None = None,
 ) -> EpisodeResult:
     """Runs a trial with a planner.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        planner: the planner itself, where it is not to be made from its name and options.
 
     Raises:
         ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
     """
-    planner = make_planner(planner_name, planner_options)
+    planner = planner or make_planner(planner_name, planner_options)
     simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
     decisions, idle_decisions, samples, planning_s, error = 0, 0, 0, 0.0, None
     max_idle_decisions = IDLE_DECISIONS_PER_ROBOT * trial.team.robots
@@ -70,6 +78,8 @@ def run_episode(
         planning_s += perf_counter() - began_s
         decisions += 1
         samples += plan.info.samples
+        if observe is not None:
+            observe(simulation.time_s, problem, plan)
         simulation.assign(plan.assignments)
         if not simulation.advance():
             missing = simulation.missing()
@@ -95,6 +105,7 @@ def run_episode(
         samples=samples,
         error=error,
         trace=trace,
+        searched=tuple(bool(seen) for seen in simulation.searched),
     )
 
 

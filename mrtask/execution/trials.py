@@ -46,6 +46,8 @@ class TrialOptions:
     formula: str | None = None
     formula_objects: tuple[str, ...] = ()
     robot: RobotSpec = field(default_factory=RobotSpec)
+    tasks_per_home: int = 1
+    """So many trials in a row are in one home."""
     unsearched_share: tuple[float, float] = (1.0, 1.0)
     """A trial's share of unsearched containers is drawn between these; all others are known from the start."""
     cost: str = "makespan"
@@ -107,7 +109,7 @@ def sample_trial(
     rng = np.random.default_rng(key_seed(seed, "trial", size_class, robots, number))
     share_rng = np.random.default_rng(key_seed(seed, "known", size_class, robots, number))
     for step in range(len(order)):
-        home = order[(number + step) % len(order)]
+        home = order[(number // options.tasks_per_home + step) % len(order)]
         home_map = map_of(home)
         names = reachable_objects(home, home_map)
         if options.formula is not None:

@@ -1,7 +1,7 @@
 """What the command line needs of a stage, and what it gives to it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from pipeline.backends.pool import Pool
 from pipeline.base.config import Config
@@ -34,3 +34,5 @@ class Stage:
     run: Callable[[Config, Session], object]
     compare_cells: Callable[[Config, str | None], object] | None = None
     """Compares the cells of a sweep, given its own configuration and MLflow run; of a stage that leaves episodes."""
+    shorthands: Mapping[str, str] = field(default_factory=dict)
+    """Keys that the stage also takes without their group: ``trial_id`` -> ``replay.trial_id``."""

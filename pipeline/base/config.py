@@ -65,6 +65,7 @@ class _Section(BaseModel):
 
 
 class _Homes(_Section):
+    contents: Literal["procthor", "housekeep"]
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -119,13 +120,26 @@ class RosMapHomes(_Homes):
 
     def to_learn_from(self) -> GeneratedHomes:
         """The generated homes that the model learns from."""
-        shared = self.model_dump(include={"seed", "train", "validation", "test"})
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
         return GeneratedHomes(source="generated", **shared)
 
 
 HousesInFiles = ProcthorHomes | Procthor10kHomes
 Homes = GeneratedHomes | HousesInFiles | RosMapHomes
 HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
+
+
+class Contents(_Section):
+    """How contents are drawn with ``homes.contents=housekeep``."""
+
+    file: LocalPath | None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    objects: Literal["all", "train", "val", "test"]
+    splits: LocalPath | None
+    table: LocalPath | None
+    misplaced: float = Field(ge=0, le=1)
+    seed: int = Field(ge=0)
+    embedding: str = Field(min_length=1)
 
 
 class Map(_Section):
@@ -198,6 +212,15 @@ class EvaluationHomes(_Section):
     order: Literal["shuffled", "file"]
 
 
+class Belief(_Section):
+    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+
+    adapt: bool
+    kind_sd: float = Field(ge=0)
+    object_sd: float = Field(ge=0)
+    forget: _Share
+
+
 class Evaluation(_Section):
     """Which trials are run, by which planners, with which model."""
 
@@ -207,8 +230,10 @@ class Evaluation(_Section):
     ]
     robots: Annotated[tuple[Positive, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     trials_per_cell: Positive
+    tasks_per_home: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
+    formula_file: LocalPath | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -250,6 +275,18 @@ class Realism(_Section):
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
+TrainedOn = Literal["human", "homes", "both"]
+
+
+class Housekeep(_Section):
+    """Which models are measured on the votes of people, and what each is trained on."""
+
+    models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trained_on: Annotated[
+        tuple[TrainedOn, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+
+
 class Arm(_Section):
     """A named change of the configuration: ``key=value`` as on the command line."""
 
@@ -262,6 +299,23 @@ class Ablation(_Section):
 
     switches: tuple[Arm, ...]
     steps: tuple[Arm, ...]
+    added_alone: bool
+    taken_alone: bool
+
+
+class Optimality(_Section):
+    """How far planners are from optimal: on how many trials and worlds it is measured."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    worlds: int = Field(ge=2)
+
+
+class Replay(_Section):
+    """Which trial is shown, and whose episodes."""
+
+    trial_id: str | None
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
 
 
 class Cluster(_Section):
@@ -304,13 +358,18 @@ class Config(_Section):
     cache_limit_gb: float = Field(gt=0)
     map: Map
     homes: Homes = Field(discriminator="source")
+    contents: Contents
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
+    belief: Belief
     evaluation: Evaluation
     realism: Realism
+    housekeep: Housekeep
     ablation: Ablation
+    optimality: Optimality
+    replay: Replay
     cluster: Cluster
     tracking: Tracking
 
@@ -335,6 +394,7 @@ def load(composed: DictConfig) -> Config:
         plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
+    _read_formula(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
@@ -350,6 +410,20 @@ def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
     return load(changed)
 
 
+def _read_formula(plain: Any) -> None:
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    options = plain["evaluation"]
+    if (path := options.get("formula_file")) is None:
+        return
+    if options["formula"] is not None:
+        raise UserError("evaluation.formula_file: give it or evaluation.formula, not both")
+    try:
+        options["formula"] = " ".join(_absolute(Path(str(path))).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
+    options["formula_file"] = None
+
+
 def _check_planners(config: Config) -> None:
     for name in config.planner_variants:
         if name in PLANNERS:
@@ -357,6 +431,8 @@ def _check_planners(config: Config) -> None:
         _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
     for name in config.evaluation.planners:
         _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+    for name in config.optimality.planners:
+        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
     behind = {config.planner_behind(name) for name in config.evaluation.planners}
     own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
     for name in config.planner.keys() - own:

@@ -6,15 +6,20 @@ find it ready.
 
 import resource
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mrtask.execution.episode import run_episode, warm_up
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.analysis.bounds.assess import assess
+from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
@@ -77,6 +82,8 @@ class Context:
     planners_behind: Mapping[str, str] = field(default_factory=dict)
     """The planner that each name stands for; a name that is not here stands for itself."""
     home_order: str = "shuffled"
+    adapt: AdaptOptions | None = None
+    """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
 
     def planner(self, name: str) -> tuple[str, Mapping[str, Any]]:
         """The planner behind a name, and its options."""
@@ -100,16 +107,38 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed."""
+def run_chain(keys: tuple[EpisodeKey, ...], context: Context) -> tuple[EpisodeRow, ...]:
+    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before."""
+    seen: list[Sighting] = []
+    rows = []
+    for task, key in enumerate(keys):
+        row, sightings = _run(key, task, seen, context)
+        rows.append(row)
+        seen += sightings
+    return tuple(rows)
+
+
+def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
+    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet.
+
+    ``observe`` is called at each of its decisions.
+    """
+    return _run(key, 0, (), context, observe)[0]
+
+
+def _run(
+    key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context, observe: Observer | None = None
+) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
+    """An episode's row and what it showed, after what earlier tasks in its home showed."""
     began_s = time.perf_counter()
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = context.table.matrix(home, trial.objects)
-    result = run_episode(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner))
+    likelihood = _likelihood(home, trial.objects, task, seen, context)
+    home_map = bench.map_of(trial.home_id)
+    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
-    return replace(
+    row = replace(
         unfinished_row(key, context, result.status, result.error),
         home_id=home.id,
         home_source=home.source,
@@ -128,6 +157,27 @@ def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
         wall_s=time.perf_counter() - began_s,
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
+    return row, sightings_of(home, task, result.searched, trial.objects)
+
+
+def _likelihood(
+    home: Home, objects: tuple[str, ...], task: int, seen: Sequence[Sighting], context: Context
+) -> NDArray[np.float64]:
+    """``P(object in container)``, ``[C, O]``: the model's, corrected by what was seen where beliefs adapt."""
+    if context.adapt is None or not seen:
+        return context.table.matrix(home, objects)
+    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
+    prior = context.table.matrix(home, known)
+    return adapted(prior, known, home.container_kinds(), seen, task, context.adapt)[:, : len(objects)]
+
+
+def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
+    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = context.table.matrix(home, trial.objects)
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:

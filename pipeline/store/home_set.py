@@ -36,11 +36,13 @@ class HomeSet:
         """The homes to evaluate planners on, in the order of the files that they are from, and those files.
 
         These are the homes in the files given, else what stands in for the test homes, else the test homes. Files given
-        without a database of assets are read with that of the set's own houses.
+        without a database of assets are read with that of the set's own houses. All have contents of the set's kind.
         """
         if given.files:
             assets = given.assets or self.houses.assets
-            others = HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
+            others = HouseFiles(
+                files=given.files, assets=assets, skip_faulty=given.skip_faulty, contents=self.houses.contents
+            )
             return others, others.read()
         if self.instead_of_test is not None:
             return self.instead_of_test, self.instead_of_test.read()

@@ -6,7 +6,10 @@ evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html and table.csv, and `ReportKey` in manifest.json
+optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
+replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave
+housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
 runs/<arm>-<key>/     of an ablation: one output_dir for each evaluation
 """
@@ -22,15 +25,18 @@ STAGES = "stages.json"
 REPORT = "report"
 REPORT_INDEX = REPORT_FILE
 REPORT_KEY = "manifest.json"
+OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
+REPLAYS = "replays"
+HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
 RUNS = "runs"
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
-    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, STAGES):
+    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES):
         folder.remove(name)
 
 

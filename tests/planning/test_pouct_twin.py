@@ -21,7 +21,7 @@ CASES = [
 
 
 def compare(problem, seed, options, monkeypatch):
-    monkeypatch.setattr(pouct, "_is_settled", lambda *arguments: False)
+    monkeypatch.setattr(pouct, "is_settled", lambda *arguments: False)
     plan = Pouct(options).plan(problem, seed)
     naive = NaivePouct(problem, team_model(problem).prob, seed, options)
     tree = naive.run(options.samples)

@@ -1,0 +1,29 @@
+"""The templates of the pages that the analysis writes; values in them are escaped."""
+
+from functools import cache
+from importlib import resources
+
+import jinja2
+from markupsafe import Markup
+
+
+@cache
+def templates() -> jinja2.Environment:
+    """The environment of ``mrtask/analysis/templates``."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("mrtask.analysis"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def render_fragment(template: str, **values: object) -> Markup:
+    """The HTML of ``templates/<template>.html.jinja``."""
+    return Markup(templates().get_template(f"{template}.html.jinja").render(values))
+
+
+def template_text(name: str) -> str:
+    """A file of the templates as it is: a script or a style sheet of our own."""
+    return resources.files("mrtask.analysis").joinpath("templates", name).read_text(encoding="utf-8")

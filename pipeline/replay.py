@@ -1,0 +1,173 @@
+"""Makes an episode to be watched: one HTML file with the drives, the beliefs and the reasons, beside the results.
+
+    python -m pipeline.replay trial_id=large-3-073 planners=[pouct,learned_myopic] output_dir=outputs/paper
+
+The trial runs again with what the run in output_dir recorded of itself, and must come out equal. The page is
+``<output_dir>/replays/<trial_id>.html`` and needs no network.
+"""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+from pydantic import ValidationError
+
+from mrtask.analysis.findings import main_planner
+from mrtask.analysis.replay import Episode, Recorder, make_replay
+from mrtask.analysis.replay_page import render_replay
+from mrtask.analysis.trajectories import baseline_beside
+from mrtask.execution.trace import Trace
+from mrtask.tasks.automaton import build_automaton
+from pipeline import evaluate, homes
+from pipeline.app.main import main
+from pipeline.app.stage import Session, Stage
+from pipeline.backends import tracking
+from pipeline.base import console
+from pipeline.base.config import Config, UserError, suggest
+from pipeline.episodes.plan import EvaluationPlan, plan_evaluation
+from pipeline.episodes.worker import run_one
+from pipeline.store import layout
+from pipeline.store.episode_row import TRACE, EpisodeRow
+from pipeline.store.folder import Folder
+from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, REPLAYS
+from pipeline.store.records import EvaluationManifest, RunIdentity
+from pipeline.store.rows import differences, read_episodes, read_traces
+
+MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
+Row = Mapping[str, Any]
+"""A row of the results with its trace."""
+PLAYED = ("accepted", "failed")
+"""Episodes of another status broke off and left no trace."""
+
+
+def run(config: Config, session: Session) -> None:
+    """The stage."""
+    began_s, folder = time.monotonic(), Folder(config.output_dir)
+    trial_id = config.replay.trial_id
+    if trial_id is None:
+        raise UserError("replay.trial_id: a value is needed, give it as trial_id=..., such as trial_id=large-3-073")
+    rows = _rows(folder, trial_id)
+    planners = _planners(rows, config.replay.planners, trial_id)
+    console.headline("replay", f"trial {trial_id} by {', '.join(planners)}")
+    recorded = _recorded(config, folder)
+    store = tracking.open_tracking(recorded.tracking.uri, recorded.tracking.experiment_name)
+    plan = plan_evaluation(recorded, homes.run(recorded, session), evaluate.load_model(recorded, store))
+    episodes = [_replayed(rows[planner], plan, folder) for planner in planners]
+    row = rows[planners[0]]
+    home = next(home for home in plan.context.homes if home.id == row["home_id"])
+    automaton = build_automaton(row["formula"], tuple(row["objects"]))
+    replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
+    command = f"python -m pipeline.replay trial_id={trial_id} planners=[{','.join(planners)}] output_dir={folder}"
+    target, name = folder / REPLAYS, f"{trial_id}.html"
+    target.write(name, render_replay(replay, command).encode())
+    console.result(target / name, time.monotonic() - began_s)
+
+
+def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
+    """The trial's rows with their traces, by planner.
+
+    Raises:
+        UserError: there is no finished evaluation in the folder, or no such trial in it.
+    """
+    if cells := layout.cells(folder):
+        listed = ", ".join(str(cell) for cell in cells)
+        raise UserError(f"{folder} holds a sweep; give one of its cells as output_dir: {listed}")
+    rows = read_episodes(folder / EPISODES)
+    trials = sorted(set(rows["trial_id"]))
+    if trial_id not in trials:
+        shown = f"{trials[0]} to {trials[-1]}, {len(trials)} in all"
+        raise UserError(f"trial_id={trial_id}: no such trial in {folder}, which has {shown}")
+    traces = read_traces(folder / EPISODES, {trial_id})
+    found = rows.merge(traces, on=["trial_id", "planner"]).to_dict("records")
+    return {row["planner"]: {str(name): value for name, value in row.items()} for row in found}
+
+
+def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) -> tuple[str, ...]:
+    """The planners to show: those asked for, else the main one and the baseline beside it."""
+    played = {name: row for name, row in rows.items() if row["status"] in PLAYED}
+    for name in asked:
+        if name not in rows:
+            raise UserError(f"planners: {name} has not run trial {trial_id}; {suggest(name, list(rows))}")
+        if name not in played:
+            raise UserError(
+                f"planners: the episode of {name} on {trial_id} broke off with status {rows[name]['status']}, there is "
+                f"nothing to watch:\n{rows[name]['error']}"
+            )
+    if asked:
+        return asked
+    main_one = main_planner(tuple(played))
+    if main_one is None:
+        raise UserError(f"trial_id={trial_id}: no planner came to an end, there is nothing to watch")
+    beside = baseline_beside(list(played), main_one)
+    return (main_one, beside) if beside else (main_one,)
+
+
+def _recorded(config: Config, folder: Folder) -> Config:
+    """The configuration that the run had, with this machine's cache.
+
+    Raises:
+        UserError: there is none, or another version of the code wrote it.
+    """
+    manifest = EvaluationManifest.read(folder, MANIFEST)
+    if manifest is None:
+        raise UserError(
+            f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
+        )
+    here = {"output_dir": config.output_dir, "cache_dir": config.cache_dir, "draw": False, "overwrite": False}
+    try:
+        return Config.model_validate({"replay": config.replay, **manifest.config} | here)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UserError(
+            f"{folder}/{MANIFEST} is of another version of the code ({'.'.join(map(str, first['loc']))}: "
+            f"{first['msg']}); replay it with the version that made it: {manifest.code_version}"
+        ) from error
+
+
+def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
+    """Runs the episode of a row again.
+
+    Raises:
+        UserError: it does not come out equal.
+    """
+    [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
+    recorder = Recorder()
+    again = run_one(key, plan.context, recorder)
+    unequal = [name for name in MUST_BE_EQUAL if not _equal(row[name], getattr(again, name))]
+    if unequal:
+        raise UserError(_why_unequal(row, again, unequal, plan, folder))
+    return Episode(
+        planner=again.planner,
+        status=again.status,
+        cost_s=again.cost_s,
+        error=again.error,
+        trace=Trace.from_json(row[TRACE]),
+        decisions=tuple(recorder.decisions),
+    )
+
+
+def _equal(stored: object, now: object) -> bool:
+    return bool(pd.isna(stored)) if now is None else stored == now  # type: ignore[call-overload]
+
+
+def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: EvaluationPlan, folder: Folder) -> str:
+    shown = ", ".join(
+        "the drives differ" if name == TRACE else f"{name} was {row[name]}, is now {getattr(again, name)}"
+        for name in unequal
+    )
+    recorded = RunIdentity.read(folder, IDENTITY)
+    changed = list(differences(recorded.content(), plan.identity.content())) if recorded else []
+    if any(line.startswith("code:") for line in changed):
+        reason = f"the code has changed since: check out {row['code_version']} to replay it"
+    elif changed:
+        reason = f"the run's configuration has changed: {'; '.join(changed)}"
+    else:
+        reason = "a planner with a time_limit_s plans as far as it gets, on other processors even without one"
+    return f"{row['planner']} on {row['trial_id']} does not replay to the stored episode ({shown}): {reason}"
+
+
+STAGE = Stage(run, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
+
+if __name__ == "__main__":
+    main("pipeline.replay")
