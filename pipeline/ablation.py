@@ -21,14 +21,13 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Ablation, Config, PlannerVariant, UserError, content_hash, with_overrides
+from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import EPISODES, REPORT, REPORT_INDEX
 from pipeline.store.rows import read_episodes, read_traces
 
 PAPER, AUTHORS = "paper", "authors"
-RUNS = "runs"
-"""The folder of the evaluations, each laid out like any other output_dir."""
 OF_TRIALS = {"seed", "map", "homes", "evaluation"}
 """The parts of the configuration that decide which trials there are; planners' options are the rest of an arm."""
 
@@ -75,7 +74,7 @@ class SharedRun:
             update={
                 "evaluation": evaluation,
                 "planner_variants": self.variants,
-                "output_dir": f"{self.config.output_dir.rstrip('/')}/{RUNS}/{_slug(self.arms[0][0].name)}-{key}",
+                "output_dir": layout.runs(Folder(self.config.output_dir), _slug(self.arms[0][0].name), key).location,
             }
         )
 

@@ -11,6 +11,7 @@ replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
+runs/<arm>-<key>/     of an ablation: one output_dir for each evaluation
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -30,12 +31,18 @@ REALISM = "realism"
 REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
+RUNS = "runs"
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
     for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES):
         folder.remove(name)
+
+
+def runs(folder: Folder, name: str, key: str) -> Folder:
+    """The folder of one evaluation of an ablation."""
+    return folder / RUNS / f"{name}-{key}"
 
 
 def cells(folder: Folder) -> list[Folder]:

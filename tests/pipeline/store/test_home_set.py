@@ -16,7 +16,7 @@ from pipeline.store.home_set import HomeSet
 from pipeline.store.records import HomesManifest
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
 
-NOT_GIVEN = EvaluationHomes(files=(), assets=None, skip_faulty=False)
+NOT_GIVEN = EvaluationHomes(files=(), assets=None, skip_faulty=False, order="shuffled")
 
 
 @pytest.fixture
@@ -41,7 +41,9 @@ def test_each_part_has_the_homes_that_the_manifest_lists(home_set: HomeSet) -> N
 
 
 def test_planners_are_evaluated_on_the_test_homes_or_on_the_maps(home_set: HomeSet, tmp_path: Path) -> None:
-    assert home_set.evaluation_homes(NOT_GIVEN) == (home_set.houses, home_set.read()["test"])
+    source, found = home_set.evaluation_homes(NOT_GIVEN)
+    assert source == home_set.houses
+    assert found == tuple(home for home in home_set.houses.read() if home.id in home_set.split["test"])  # file order
     write_lab(tmp_path, CONTAINERS)
     maps = MapFiles(maps=(tmp_path / "lab.yaml",), containers=(tmp_path / "containers.yaml",), worlds=2, seed=0)
     assert replace(home_set, instead_of_test=maps).evaluation_homes(NOT_GIVEN) == (maps, maps.read())
@@ -50,7 +52,7 @@ def test_planners_are_evaluated_on_the_test_homes_or_on_the_maps(home_set: HomeS
 def test_other_homes_are_evaluated_on_where_they_are_given(home_set: HomeSet, tmp_path: Path) -> None:
     others = tmp_path / "others.jsonl"
     others.write_text(json.dumps(generate_house(7, "small")) + "\n" + json.dumps({"name": "no house"}) + "\n")
-    given = EvaluationHomes(files=(others,), assets=None, skip_faulty=True)
+    given = EvaluationHomes(files=(others,), assets=None, skip_faulty=True, order="shuffled")
     source, found = home_set.evaluation_homes(given)
     assert source == HouseFiles(files=(others,), skip_faulty=True)
     assert len(found) == len(source.read()) == len(source.faults()) == 1
@@ -79,7 +81,7 @@ def test_other_homes_are_read_with_the_sets_assets_unless_they_have_their_own(
             for kind, listed in entries.items()
         }
         (tmp_path / name).write_text(json.dumps(scaled))
-    given = EvaluationHomes(files=(others,), assets=None, skip_faulty=False)
+    given = EvaluationHomes(files=(others,), assets=None, skip_faulty=False, order="shuffled")
     with pytest.raises(UserError, match=r"others\.jsonl, home 0"):
         home_set.evaluation_homes(given)
     with_assets = replace(home_set, houses=home_set.houses.model_copy(update={"assets": tmp_path / "assets.json"}))

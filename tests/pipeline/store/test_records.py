@@ -29,7 +29,7 @@ MODEL = TrainedModelRecord(
 )  # fmt: skip
 IDENTITY = RunIdentity(
     seed=3,
-    map=Map(resolution_m=0.05, robot_radius_m=0.2),
+    map=Map(resolution_m=0.05, robot_radius_m=0.2, ways="shortest"),
     homes={"source": "generated", "train": 12},
     evaluation={"robots": [1, 2], "formula": None},
     evaluated_homes="h",
