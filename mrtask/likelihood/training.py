@@ -3,10 +3,12 @@
 import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 
 import numpy as np
 import pandas as pd
 
+from mrtask.errors import InputError
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset
 from mrtask.likelihood.kinds import KINDS, Job
@@ -77,6 +79,9 @@ def fit_on_homes(
     Only networks use the ``validation`` homes. Other kinds: ``TrainingOptions(kind="similarity")``, with the extra
     ``mrtask[train]`` installed.
     """
+    options = options or TrainingOptions(kind="frequency")
+    if options.kind != "frequency" and find_spec("sklearn") is None:
+        raise InputError(f"a model of kind {options.kind!r} needs more packages: pip install 'mrtask[train]'")
     homes = list(train)
     objects = vocabulary(homes)
     if not objects:
@@ -85,7 +90,7 @@ def fit_on_homes(
         distinct_triples(pd.concat([label_rows(home, objects) for home in part])) if part else pd.DataFrame()
         for part in (homes, list(validation))
     )
-    return fit(learned_from, checked_on, options or TrainingOptions(kind="frequency"))[0]
+    return fit(learned_from, checked_on, options)[0]
 
 
 def _say_nothing(phase: str) -> None:
