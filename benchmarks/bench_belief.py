@@ -63,7 +63,7 @@ def main() -> None:
     people = VotedContents(
         file=given.votes, splits=None, objects="all", table=BUNDLED_TABLE, misplaced=0.1, seed=0, embedding=BUNDLED
     )  # fmt: skip
-    contents = {"procthor": (train, test), "human": tuple(map(people.furnish, (train, test)))}
+    contents = {"human": (people.furnish(train), people.furnish(test)), "procthor": (train, test)}
     rows: list[dict[str, object]] = []
     for name, (_, evaluated) in contents.items():
         for prior, table in priors(contents, evaluated).items():
