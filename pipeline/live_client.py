@@ -16,6 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 Message = dict[str, Any]
@@ -87,7 +88,12 @@ class SocketClient(Client):
     def __init__(self, address: str, token: str | None = None, **options: Any) -> None:
         from websockets.sync.client import connect
 
-        self.connection = connect(address)
+        self._open = ExitStack()
+        self.connection = self._open.enter_context(connect(address))
         super().__init__(self.connection.send, **options)
         self.connection.send(json.dumps({"type": "hello", "token": token}))
         self._listen(iter(self.connection))
+
+    def close(self) -> None:
+        """Ends the connection; the live team goes on."""
+        self._open.close()
