@@ -132,6 +132,9 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
     loop = asyncio.get_running_loop()
     for name in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(name, done.set)
+    # Before anybody can talk to the session, since only the hub's lock keeps messages apart.
+    for text in session.begin():
+        print(text, flush=True)
     async with contextlib.AsyncExitStack() as stack:
         if options.websocket is not None:
             from pipeline.live_socket import serve
@@ -147,8 +150,6 @@ async def _pipes(hub: _Hub, done: asyncio.Event, ends: bool) -> None:
     """Standard input and output; ``ends``: the end of input is the end of all."""
     loop = asyncio.get_running_loop()
     queue: asyncio.Queue[str | None] = asyncio.Queue()
-    for text in await asyncio.to_thread(hub.session.begin):
-        print(text, flush=True)
     hub.listeners["pipes"] = queue
 
     def read() -> None:

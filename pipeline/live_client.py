@@ -6,7 +6,7 @@
         drive(order)                                  # and, from wherever the robot reports:
         client.send("arrived", robot=order["robot"], container=order["container"])
 
-Every event gets an id and a time. After a break send what was not answered once more with the same ids: it counts once.
+Every event gets an id and a time. After a break `send_again` repeats what was not answered: it counts once.
 """
 
 import json
@@ -16,6 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 Message = dict[str, Any]
@@ -56,16 +57,16 @@ class Client:
         message = json.loads(line)
         if message["type"] == "answer":
             self.unanswered.pop(message["event"], None)
-            if message["status"] == "rejected":
-                self.rejected.append(message)
+            self.rejected += [message] * (message["status"] == "rejected")
         elif message["type"] == "task":
             self.task = message
         self.messages.put(message)
 
-    def _listen(self, lines: Iterator[Any]) -> None:
+    def _listen(self, lines: Iterator[Any], broken: type[Exception] = OSError) -> None:
         def run() -> None:
-            for line in lines:
-                self.take(line)
+            with suppress(broken):
+                for line in lines:
+                    self.take(line)
             self.messages.put(None)
 
         threading.Thread(target=run, daemon=True).start()
@@ -75,8 +76,8 @@ class PipeClient(Client):
     """Starts the live team and talks to it by its standard input and output."""
 
     def __init__(self, command: Sequence[str], cwd: Any = None, **options: Any) -> None:
-        pipe = subprocess.PIPE
-        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, bufsize=1, cwd=cwd)
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self.process = subprocess.Popen(command, text=True, bufsize=1, cwd=cwd, **pipes)
         super().__init__(lambda line: print(line, file=self.process.stdin, flush=True), **options)
         self._listen(iter(self.process.stdout or ()))
 
@@ -85,9 +86,15 @@ class SocketClient(Client):
     """Talks to a live team that listens on a WebSocket."""
 
     def __init__(self, address: str, token: str | None = None, **options: Any) -> None:
+        from websockets.exceptions import ConnectionClosed
         from websockets.sync.client import connect
 
-        self.connection = connect(address)
+        self._open = ExitStack()
+        self.connection = self._open.enter_context(connect(address))
         super().__init__(self.connection.send, **options)
         self.connection.send(json.dumps({"type": "hello", "token": token}))
-        self._listen(iter(self.connection))
+        self._listen(iter(self.connection), ConnectionClosed)
+
+    def close(self) -> None:
+        """Ends the connection; the live team goes on."""
+        self._open.close()

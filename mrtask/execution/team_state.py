@@ -27,6 +27,8 @@ from mrtask.tasks.automaton import Automaton
 LOST = "lost"
 _KINDS = {"free": "wait", "settling": "wait", LOST: "wait"}
 """The kind of leg that a mode is, where it is not the mode itself."""
+EARLY_S = 1e-6
+"""Robots that arrive sooner than expected by more than this were faster than they are said to be."""
 MAX_FAILURES = 3
 """After so many failed searches a container counts as searched, after so many failed interactions an object as gone."""
 
@@ -138,7 +140,11 @@ class TeamState:
         self.news = False
 
     def arrived(self, robot: Robot) -> None:
-        """The robot is at its assignment's container."""
+        """The robot is at its assignment's container, when it was expected there or at any other time."""
+        if robot.mode == "move" and robot.route is not None:
+            needed_s = robot.route.length_m / self.spec.speed_m_per_s
+            if self.time_s - robot.moved_s < needed_s - EARLY_S:  # all of its way is behind it even so
+                robot.moved_s = self.time_s - needed_s
         self.close_leg(robot)
         if robot.route is not None:
             robot.position, robot.route = Position.at(robot.route.cells[-1]), None

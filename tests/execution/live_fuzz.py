@@ -180,7 +180,7 @@ def main(count):
         live = two_robots(home, home_map, planners[seed % 3])
         stream = Stream(live, seed, [door.id for door in home.doors]).run(30)
         events, rejected = events + stream.count, rejected + stream.rejected
-        if (seed + 1) % 1000 == 0:
+        if (seed + 1) % 500 == 0:
             print(f"{seed + 1} streams, {events} events, {rejected} refusals", flush=True)
 
 

@@ -116,6 +116,14 @@ def test_orders_have_routes_from_the_robot_to_the_container(live, two_room_map):
         assert order.length_m == pytest.approx(sum(dist(*ends) for ends in pairwise(order.route)))
 
 
+def test_a_robot_that_is_early_has_driven_all_of_its_way(live):
+    orders = begin(live)
+    one(live, "arrived", 0.1, robot="r1", container=orders["r1"].container)
+    (leg,) = live.team.robots[0].legs
+    assert (leg.kind, leg.t1_s) == ("move", 0.1)
+    assert sum(dist(*ends) for ends in pairwise(leg.path)) == pytest.approx(orders["r1"].length_m)
+
+
 def target_of(live, name):
     robot = live.team.robots[live.names.index(name)]
     return live.team.containers[robot.assignment.container]

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from pipeline.live import lines_of
 from pipeline.live_client import Client, PipeClient, SocketClient
@@ -120,7 +121,9 @@ class Lab:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.wait()
+        self.process.communicate()
+        if isinstance(self.client, SocketClient):
+            self.client.close()
 
     def play(self) -> None:
         step = 0
@@ -198,15 +201,20 @@ def test_the_socket_wants_its_token_and_listens_on_this_machine_alone(tmp_path: 
             with pytest.raises(ConnectionClosed), connect(f"ws://127.0.0.1:{port}") as connection:
                 connection.send(first)
                 connection.recv(timeout=ANSWER_WITHIN_S)
-        with pytest.raises(Exception, match="403"):
-            connect(f"ws://127.0.0.1:{port}", origin="http://evil.example").close()  # type: ignore[arg-type]
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            connect(f"ws://127.0.0.1:{port}", origin=Origin("http://evil.example")),
+        ):
+            pass
         client = SocketClient(f"ws://127.0.0.1:{port}", token)
         assert (client.messages.get(timeout=ANSWER_WITHIN_S) or {})["type"] == "welcome"
         listeners = subprocess.run(["cat", "/proc/net/tcp"], capture_output=True, text=True).stdout
         addresses = {line.split()[1] for line in listeners.splitlines() if f":{port:04X} " in f"{line.split()[1]} "}
         assert {address.split(":")[0] for address in addresses} == {"0100007F"}
+        client.close()
     finally:
         process.kill()
+        process.communicate()
 
 
 @pytest.mark.parametrize(
