@@ -1,7 +1,7 @@
 """What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import pandas as pd
@@ -26,6 +26,8 @@ class ReportData:
     summaries: Mapping[Variant, Summary]
     """By variant, in order; one, named by the empty text, without a sweep."""
     published: Published
+    replays: Mapping[str, str] = field(default_factory=dict)
+    """Trial id -> the page of its replay, of the notable trials."""
 
     @property
     def shown(self) -> Variant:
