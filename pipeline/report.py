@@ -5,7 +5,7 @@ On the output_dir of a sweep it compares the sweep's cells.
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from mrtask.analysis.curves import BUDGET
-from mrtask.analysis.report import render_report, trials_to_draw, write_report
+from mrtask.analysis.report import TrialsToDraw, render_report, trials_to_draw, write_report
 from mrtask.homes.home import Home
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
@@ -48,11 +48,12 @@ class Collected:
         """That of the last evaluation."""
         return self.evaluations[-1][1]
 
-    def with_traces(self, trials: set[str]) -> pd.DataFrame:
-        """The episodes with a column ``trace``, filled for these trials."""
+    def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
+        """The episodes with a column ``trace``, filled where it is drawn."""
         keys = [name for name in ("sweep", "trial_id", "planner") if name in self.episodes.columns]
         traces = [
-            read_traces(folder / EPISODES, trials).assign(sweep=manifest.sweep) for folder, manifest in self.evaluations
+            read_traces(folder / EPISODES, wanted.trial_ids, wanted.planners).assign(sweep=manifest.sweep)
+            for folder, manifest in self.evaluations
         ]
         return self.episodes.merge(pd.concat(traces)[[*keys, TRACE]], how="left", on=keys)
 
@@ -132,9 +133,9 @@ def _episodes(folder: Folder, manifest: EvaluationManifest) -> pd.DataFrame:
 
 def _render(collected: Collected, target: Path) -> None:
     """Writes the report's files, with those episodes drawn that show most."""
-    picks = trials_to_draw(collected.episodes, collected.facts)
-    drawn = _homes(collected.manifest.homes, {pick.home_id for pick in picks})
-    episodes = collected.with_traces({pick.trial_id for pick in picks})
+    wanted = trials_to_draw(collected.episodes, collected.facts)
+    drawn = _homes(collected.manifest.homes, wanted.home_ids)
+    episodes = collected.with_traces(wanted)
     write_report(render_report(episodes, collected.facts, drawn, collected.optimality), target)
 
 
@@ -146,7 +147,7 @@ def _as_text(rows: pd.DataFrame | None) -> str | None:
     return None if rows is None else rows.to_csv(index=False)
 
 
-def _homes(evaluated: EvaluatedHomes, ids: set[str]) -> dict[str, Home]:
+def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     """The homes to be drawn; those whose files are gone are left out."""
     source = evaluated.read_from
     if not all(path.is_file() for path in source.paths):

@@ -5,11 +5,8 @@ what is there and shows the decision of the present time. So it is whole without
 task is called can become code: text is escaped by the templates, the data block by `script_json`.
 """
 
-import base64
-import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
@@ -18,13 +15,11 @@ from shapely.geometry import Polygon as ShapelyPolygon
 from mrtask.analysis.automaton_drawing import RADIUS, draw_automaton
 from mrtask.analysis.floor_plans import ROOM_COLORS, clear_spot
 from mrtask.analysis.replay import Decision, Replay, Run
+from mrtask.analysis.sheet import Sheet
 from mrtask.analysis.style import ROBOT_COLORS, counted
-from mrtask.analysis.templating import render_fragment, template_text
+from mrtask.analysis.templating import render_fragment, script_digest, template_text
 from mrtask.analysis.trajectories import place_at
-from mrtask.homes.home import Home, Point, Polygon
 
-CM_PER_M = 100
-MARGIN_M = 0.3
 MIN_LABEL_AREA_M2 = 0.3
 PERMILLE = 1000
 CHART_WIDTH, CHART_HEIGHT = 560, 120
@@ -35,41 +30,9 @@ EDGE_SHARE = 0.14
 """Labels this near to a side of the picture run away from it."""
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """Turns metres with y up into the picture's centimetres with y down."""
-
-    x0_m: float
-    y1_m: float
-    width: int
-    height: int
-
-    @staticmethod
-    def of(home: Home) -> "Sheet":
-        """The sheet that a home fits on."""
-        xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
-        width, height = max(xs) - min(xs) + 2 * MARGIN_M, max(ys) - min(ys) + 2 * MARGIN_M
-        return Sheet(min(xs) - MARGIN_M, max(ys) + MARGIN_M, round(width * CM_PER_M), round(height * CM_PER_M))
-
-    def point(self, point: Point) -> tuple[int, int]:
-        """A point in the picture."""
-        return round((point[0] - self.x0_m) * CM_PER_M), round((self.y1_m - point[1]) * CM_PER_M)
-
-    def points(self, points: Sequence[Point]) -> str:
-        """``x,y x,y`` as SVG's polygons have it."""
-        return " ".join(f"{x},{y}" for x, y in map(self.point, points))
-
-    def middle(self, polygon: Polygon) -> tuple[int, int]:
-        """A point inside a polygon, near its middle."""
-        shape = ShapelyPolygon(polygon)
-        inside = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
-        return self.point((inside.x, inside.y))
-
-
 def render_replay(replay: Replay, command: str | None = None) -> str:
     """The page; ``command`` makes it again."""
     script, style = template_text("replay.js"), template_text("replay.css")
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     sheet = Sheet.of(replay.home)
     return render_fragment(
         "replay",
@@ -86,7 +49,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         data=script_json(page_data(replay, sheet)),
         script=Markup(script),
         style=Markup(style),
-        script_digest=digest,
+        script_digest=script_digest(script),
     )
 
 

@@ -1,7 +1,7 @@
 """What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import pandas as pd
@@ -29,6 +29,8 @@ class ReportData:
     published: Published
     optimality: Sequence[CellOptimality] = ()
     """How far planners are from optimal, where that was measured."""
+    replays: Mapping[str, str] = field(default_factory=dict)
+    """Trial id -> the page of its replay, of the notable trials."""
 
     @property
     def shown(self) -> Variant:

@@ -8,18 +8,30 @@ and pictures with the macros of ``parts.html.jinja``.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from mrtask.analysis import curves, facts, figures, tables
 from mrtask.analysis.columns import Table
 from mrtask.analysis.findings import Findings, find, main_planner
+from mrtask.analysis.replay import task_in_words
 from mrtask.analysis.report_data import ReportData
 from mrtask.analysis.result_table import planner_table
 from mrtask.analysis.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, RULE
-from mrtask.analysis.style import counted, data_uri, planner_label
+from mrtask.analysis.style import NOTHING, counted, data_uri, planner_label, robot_color
 from mrtask.analysis.templating import render_fragment
-from mrtask.analysis.trajectories import baseline_beside, draw_trial, instructive_trials
+from mrtask.analysis.trajectories import baseline_beside, draw_trial, instructive_trials, task_objects
+from mrtask.analysis.trial_browser import (
+    PLOT_BOTTOM,
+    PLOT_LEFT,
+    PLOT_PAD,
+    PLOT_SIZE,
+    TrialBrowser,
+    browse_trials,
+    notable_trials,
+    place,
+)
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,31 @@ def trajectories_section(data: ReportData) -> Markup | None:
     return render_fragment("trajectories", pictures=pictures) if pictures else None
 
 
+def trials_section(data: ReportData) -> Markup | None:
+    """Every trial as a point that leads to it, and the trials worth a look; None without episodes."""
+    browser = browse_trials(data.rows, data.planner, data.homes, data.replays)
+    if browser is None:
+        return None
+    notable = [
+        {
+            "pick": pick,
+            "task": _task(data.rows, pick.trial_id),
+            "outcomes": _outcomes(data.rows, pick.trial_id, browser),
+        }
+        for pick in notable_trials(data.rows, data.planner)
+    ]
+    return render_fragment(
+        "trials",
+        browser=browser,
+        notable=notable,
+        replays=data.replays,
+        place=place,
+        plot={"size": PLOT_SIZE, "left": PLOT_LEFT, "bottom": PLOT_SIZE - PLOT_BOTTOM, "pad": PLOT_PAD},
+        output_dir=data.manifest.get("output_dir"),
+        robot_colors=[robot_color(team - 1) for team in browser.robots],
+    )
+
+
 def planners_section(data: ReportData) -> Markup:
     """All planners over all episodes, and the main one against each reference."""
     return render_fragment(
@@ -142,6 +179,7 @@ SECTIONS: Sequence[Section] = (
     Section("variants", "Variants", "The sweep's variants", variants_section),
     Section("figures", "Figures", "Figures", figures_section),
     Section("trajectories", "Trajectories", "Trajectories", trajectories_section),
+    Section("trials", "Trials", "Trial by trial", trials_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
     Section("optimality", "Optimality", "How far from optimal", optimality_section),
     Section("model", "Likelihood model", "Likelihood model", model_section),
@@ -222,6 +260,26 @@ def _trajectories(data: ReportData) -> list[Picture]:
         title = f"{reason}: trial {pick.trial_id}, {team}"
         pictures.append(Picture(data_uri(figure), title, f"{task} Home {pick.home_id}.".strip()))
     return pictures
+
+
+def _task(rows: pd.DataFrame, trial_id: str) -> str:
+    """A trial's task in words; empty where the rows do not say."""
+    if not {"template", "formula", "objects"} <= set(rows.columns):
+        return ""
+    of_trial = rows[(rows["trial_id"] == trial_id) & rows["formula"].notna()]
+    if of_trial.empty:
+        return ""
+    first = of_trial.iloc[0]
+    return task_in_words(str(first["template"]), str(first["formula"]), task_objects(first["objects"]))
+
+
+def _outcomes(rows: pd.DataFrame, trial_id: str, browser: TrialBrowser) -> list[str]:
+    """What came of a trial with the planner and the baseline: seconds, or the status."""
+    of_trial = rows[rows["trial_id"] == trial_id].to_dict("records")
+    found = {
+        row["planner"]: f"{row['cost_s']:.1f} s" if row["status"] == "accepted" else row["status"] for row in of_trial
+    }
+    return [found.get(name, NOTHING) for name in browser.compared]
 
 
 def _picture(figure: Figure | None, title: str, caption: str) -> Picture | None:

@@ -1,5 +1,7 @@
 """The templates of the pages that the analysis writes; values in them are escaped."""
 
+import base64
+import hashlib
 from functools import cache
 from importlib import resources
 
@@ -22,6 +24,11 @@ def templates() -> jinja2.Environment:
 def render_fragment(template: str, **values: object) -> Markup:
     """The HTML of ``templates/<template>.html.jinja``."""
     return Markup(templates().get_template(f"{template}.html.jinja").render(values))
+
+
+def script_digest(script: str) -> str:
+    """What a page's policy names to let this script run and no other."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
 def template_text(name: str) -> str:

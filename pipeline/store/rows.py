@@ -118,14 +118,17 @@ def read_episodes(folder: Folder) -> pd.DataFrame:
     return frame
 
 
-def read_traces(folder: Folder, trials: Collection[str]) -> pd.DataFrame:
-    """``trial_id, planner, trace`` of these trials."""
+def read_traces(folder: Folder, trials: Collection[str], planners: Collection[str] | None = None) -> pd.DataFrame:
+    """``trial_id, planner, trace`` of these trials by these planners, by all of them by default."""
     wanted = pa.array(sorted(trials), pa.string())
     columns = ["trial_id", "planner", TRACE]
     found = [SCHEMA.empty_table().select(columns)]
     for name in _part_names(folder):
         part = _read_part(folder, name, columns)
-        found.append(part.filter(pc.is_in(part["trial_id"], wanted)))
+        part = part.filter(pc.is_in(part["trial_id"], wanted))
+        if planners is not None:
+            part = part.filter(pc.is_in(part["planner"], pa.array(sorted(planners), pa.string())))
+        found.append(part)
     frame: pd.DataFrame = pa.concat_tables(found).to_pandas()
     return frame
 

@@ -17,7 +17,8 @@ from mrtask.analysis.replay import (
     make_replay,
     task_in_words,
 )
-from mrtask.analysis.replay_page import Sheet, page_data, render_replay, script_json
+from mrtask.analysis.replay_page import page_data, render_replay, script_json
+from mrtask.analysis.sheet import Sheet
 from mrtask.execution.episode import run_episode
 from mrtask.execution.team import RobotSpec, Team
 from mrtask.execution.trials import Trial

@@ -1,3 +1,5 @@
+import base64
+import gzip
 import html
 import json
 import re
@@ -14,6 +16,7 @@ from mrtask.analysis import sections
 from mrtask.analysis.facts import beats_frequency, failure_table, homes_facts, run_facts
 from mrtask.analysis.report import render_report, trials_to_draw, write_report
 from mrtask.analysis.sections import Section
+from mrtask.analysis.trial_browser import notable_trials
 from mrtask.execution.trace import Leg, Letter, Trace
 from tests.analysis.synthetic import fail, make_episodes, rows
 
@@ -61,7 +64,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if self.open and self.open[-1] != "style":
+        if self.open and self.open[-1] not in ("style", "script"):
             self.text.append(data)
 
     @property
@@ -81,9 +84,10 @@ def page_of(folder, episodes, manifest=MANIFEST, homes=None) -> Page:
         if name == "src":
             assert value.startswith("data:image/"), "the page loads a picture from elsewhere"
         elif name == "href":
-            assert value.removeprefix("#") in page.ids or value == "https://arxiv.org/abs/2603.20544"
+            beside = value.startswith("replays/") and (folder / value).is_file()
+            assert value.removeprefix("#") in page.ids or beside or value == "https://arxiv.org/abs/2603.20544"
         assert not name.startswith("on")
-    assert not page.tags & {"script", "link", "iframe"}
+    assert not page.tags & {"link", "iframe"}
     return page
 
 
@@ -255,12 +259,48 @@ def test_trials_to_draw_are_those_drawn(two_room_home, tmp_path, blank_pictures)
     frame = small(["learned_myopic", "pouct"]).assign(trace=trace)
     frame["home_id"] = np.where(frame["trial_id"] == "small-1-003", two_room_home.id, frame["home_id"])
     picks = trials_to_draw(frame.drop(columns="trace"), {})
-    wanted = [pick.home_id for pick in picks]
-    assert len(wanted) == 3
-    frame["trace"] = frame["trace"].where(frame["trial_id"].isin([pick.trial_id for pick in picks]))
-    page = page_of(tmp_path, frame, {}, dict.fromkeys(wanted, two_room_home))
-    assert "Most saved" in page.words and all(home_id in page.words for home_id in wanted)
-    assert trials_to_draw(frame.head(0), {}) == []
+    assert picks.trial_ids == set(frame["trial_id"]) and picks.home_ids == set(frame["home_id"])
+    assert picks.planners == ("pouct", "learned_myopic")
+    page = page_of(tmp_path, frame, {}, dict.fromkeys(picks.home_ids, two_room_home))
+    assert "Most saved" in page.words and two_room_home.id in page.words
+    assert trials_to_draw(frame.head(0), {}).trial_ids == frozenset()
+
+
+def test_every_trial_can_be_looked_up(tmp_path, two_room_home, blank_pictures):
+    trace = Trace((2.0, 1.0), ((Leg("move", 0, 1, None, None, ((2, 1), (1, 1))),),), ()).to_json()
+    frame = small(["learned_myopic", "pouct"]).assign(trace=trace, home_id=two_room_home.id)
+    frame = fail(frame, (frame["trial_id"] == "small-1-001") & (frame["planner"] == "pouct"))
+    page_of(tmp_path, frame, {"output_dir": "outputs/x"}, {two_room_home.id: two_room_home})
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
+    packed = re.search(r'id="trials-data"[^>]*>([^<]*)<', text)[1]
+    data = json.loads(gzip.decompress(base64.b64decode(packed)))
+    by_key = frame.set_index(["trial_id", "planner"])
+    assert data["names"] == ["pouct", "learned_myopic"]
+    for trial in data["trials"]:
+        assert trial["task"] == "Mug and Book" and trial["robots"] == 1
+        for name, cost, status in zip(data["names"], trial["cost"], trial["status"], strict=True):
+            row = by_key.loc[(trial["id"], name)]
+            assert status == row["status"]
+            assert cost is None if status == "failed" else cost == pytest.approx(row["cost_cells"], abs=0.05)
+        assert trial["paths"]["0"] == [[230, 330, 130, 330]], "centimetres from the top left corner, 30 cm of margin"
+    assert text.count("<circle") == 3, "one point for each trial that both finished"
+    assert {path.stem for path in (tmp_path / "replays").iterdir()} == {trial["id"] for trial in data["trials"]}
+    assert "small-1-001" in text and ">failed<" in text
+
+
+def test_the_notable_trials_by_hand():
+    costs = {"pouct": [5.0, 9.0, None, 4.0], "learned_myopic": [6.0, 7.0, 7.0, 4.0]}
+    frame = rows("small", 1, costs).assign(home_id="h")
+    assert [(pick.trial_id[-1], pick.reason) for pick in notable_trials(frame, "pouct")] == [
+        ("0", "most saved"),
+        ("3", "median saved"),
+        ("1", "most lost"),
+        ("2", "failed"),
+    ]
+    worse = rows("small", 1, {"pouct": [float(n + 20) for n in range(20)], "learned_myopic": [10.0] * 20})
+    found = [pick.reason for pick in notable_trials(worse.assign(home_id="h"), "pouct")]
+    assert len(found) == 3 + 9 and found[-1] == "lost 20.0 s", "the worst of ten is among the representative"
+    assert notable_trials(frame, None) == []
 
 
 def test_facts_from_rows_where_the_manifest_has_none():
