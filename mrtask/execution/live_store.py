@@ -6,7 +6,7 @@ into another task. Routes are planned again: the same map and the same start giv
 
 import hashlib
 import json
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -19,7 +19,7 @@ from mrtask.execution.team_state import Robot
 from mrtask.execution.trace import Leg, Letter
 from mrtask.planning.problem import Assignment
 
-STATE_VERSION = 1
+STATE_VERSION: Final = 1
 
 
 class StateError(InputError):

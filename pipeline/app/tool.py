@@ -8,10 +8,10 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import yaml
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
@@ -68,8 +68,8 @@ def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, 
     """
     planners = OmegaConf.create({"planner": OmegaConf.load(CONF_DIR / "planner" / "default.yaml")})
     try:
-        first, *others = (OmegaConf.load(path) for path in files)
-        known = [{key: one[key] for key in one if key in model.model_fields} for one in others]
+        first, *others = (cast(DictConfig, OmegaConf.load(path)) for path in files)
+        known = [{key: one[key] for key in map(str, one) if key in model.model_fields} for one in others]
         merged = OmegaConf.merge(planners, first, *known)
         for key, value in given.items():
             OmegaConf.update(merged, key, value, force_add=True)
