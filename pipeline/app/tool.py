@@ -83,6 +83,8 @@ def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, 
 
 
 def _explain(item: Any, model: type[BaseModel]) -> str:
+    if not item["loc"]:  # of several keys together: the message names them
+        return str(item["msg"]).removeprefix("Value error, ")
     if item["type"] == "extra_forbidden" and len(item["loc"]) == 1:
         key = str(item["loc"][0])
         return f"{key}: no such key; {suggest(key, list(model.model_fields))}"
