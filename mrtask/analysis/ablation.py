@@ -138,7 +138,11 @@ def findings(arms: Sequence[_Arm], published: Published) -> Findings:
     for arm in arms:
         if arm.rows.in_detail:
             sentences.append(f"{arm.rows.name}: {_count_text(arm, published, PAPERS_PLANNER)}.")
-    headline = f"{reached} of the {len(printed)} published improvements lie in the 95 % interval of at least one arm."
+    first = arms[0]
+    headline = (
+        f"{first.rows.name}: {_count_text(first, published, PAPERS_PLANNER)}. "
+        f"{reached} of the {len(printed)} lie in the interval of at least one arm."
+    )
     return Findings(f"{reached} of {len(printed)}", headline, tuple(sentences), ())
 
 

@@ -73,9 +73,9 @@ def test_the_answer_counts_published_improvements_inside_some_arms_interval(page
     assert "small, 1 robot, over learned_myopic" not in answer
 
 
-def test_verdicts_stand_beside_every_arm_but_steps(page):
+def test_verdicts_stand_beside_every_arm(page):
     rows = table_rows(page.split('id="ours"')[0], "Improvement over learned_myopic")
-    assert list(rows) == ["paper", "paper + luck"]
+    assert list(rows) == ["paper", "paper + luck", "step: text", "step: half"]
     assert "<b>0 0 2</b>" in rows["paper"]  # no improvement: below both published ones
     assert "<b>1 1 0</b>" in rows["paper + luck"]  # as published with one robot, more with two
     assert "paper 15.71 %" in rows["paper"]
