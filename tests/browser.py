@@ -35,8 +35,12 @@ def started_browser() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, path: Path, **options: Any) -> Iterator[Any]:
-    """A page on a file. Whatever it says on the console, throws or loads besides itself is an error at the end."""
+def opened(browser: Any, path: Path, *, images: bool = False, **options: Any) -> Iterator[Any]:
+    """A page on a file. Whatever it says on the console, throws or loads besides itself is an error at the end.
+
+    Args:
+        images: pictures that stand in the page itself are no error.
+    """
     context = browser.new_context(**{"viewport": {"width": 1400, "height": 900}} | options)
     context.set_default_timeout(TIMEOUT_MS)
     page, trouble = context.new_page(), []
@@ -44,7 +48,12 @@ def opened(browser: Any, path: Path, **options: Any) -> Iterator[Any]:
     page.on("pageerror", lambda error: trouble.append(f"error: {error}"))
     page.on("dialog", lambda dialog: (trouble.append(f"dialog: {dialog.message}"), dialog.dismiss()))
     url = path.resolve().as_uri()
-    page.on("request", lambda request: trouble.append(f"request: {request.url}") if request.url != url else None)
+
+    def on_request(request: Any) -> None:
+        if request.url != url and not (images and request.url.startswith("data:image/")):
+            trouble.append(f"request: {request.url}")
+
+    page.on("request", on_request)
     page.goto(url)
     yield page
     context.close()

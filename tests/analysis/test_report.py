@@ -105,7 +105,7 @@ def test_whole_report(tmp_path, two_room_home):
     fridge, _, _ = (container.id for container in two_room_home.containers)
     place = (0.4, 0.9)
     legs = (Leg("move", 0, 1, fridge, None, ((2, 1), place)), Leg("search", 1, 1, fridge, None, (place,)))
-    trace = Trace((2.0, 1.0), (legs,), (Letter(1, 0, "Egg", fridge),)).to_json()
+    trace = Trace((2.0, 1.0), (legs,), (Letter(1, 0, "Mug", fridge),)).to_json()
     episodes = make_episodes(3).assign(home_id=two_room_home.id, trace=trace)
     page = page_of(tmp_path, episodes, homes={two_room_home.id: two_room_home})
     text = page.words
@@ -122,7 +122,7 @@ def test_whole_report(tmp_path, two_room_home):
     assert "log loss (lower is better)" in text and "does not beat" not in text
     table = pd.read_csv(tmp_path / "table.csv")
     assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "replays", "table.csv"]
 
 
 def test_a_listed_section_is_on_the_page_and_in_the_navigation(tmp_path, monkeypatch, blank_pictures):
@@ -238,7 +238,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     with pytest.raises(OSError, match="disk full"):
         write_report(render_report(small(["greedy"]), {}, {}), tmp_path)
     assert (tmp_path / "index.html").read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "replays", "table.csv"]
 
 
 def test_same_input_same_bytes(tmp_path):
