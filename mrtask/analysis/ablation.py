@@ -30,7 +30,7 @@ from mrtask.analysis.statistics import (
 )
 from mrtask.analysis.style import NOTHING, counted, planner_label
 from mrtask.analysis.tables import ABOVE, BELOW, LEVEL, improvement_entry, percent_entry
-from mrtask.analysis.templating import render_fragment
+from mrtask.analysis.templating import render_fragment, script_digest
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planners_with_role
 
 OUR_PLANNER = planners_with_role(Role.OURS)[0]
@@ -104,6 +104,8 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
     return render_fragment(
         "page",
         title=f"mrtask: ablation of {experiment}",
+        script="",
+        script_digest=script_digest(""),
         question="Which parts of the protocol make the published improvements, and which of ours beat them?",
         findings=findings(found, published),
         warnings=[],
