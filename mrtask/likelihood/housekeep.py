@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
-from mrtask.homes.votes import Votes
+from mrtask.homes.votes import Votes, VotesError
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.rows import TRIPLE
 
@@ -55,7 +55,7 @@ def mean_average_precision(scores: NDArray[np.float64], votes: Votes) -> tuple[f
     """The measure for ``scores [K, O]``, the higher the better a place, and over how many pairs it is the mean.
 
     Raises:
-        ValueError: no object has a right place.
+        VotesError: no object has a right place.
     """
     right = 2 * (votes.ranks > 0).sum(axis=2) > votes.ranks.shape[2]
     in_room: dict[str, list[int]] = {}
@@ -69,5 +69,7 @@ def mean_average_precision(scores: NDArray[np.float64], votes: Votes) -> tuple[f
         if right[places, index].any()
     ]
     if not precisions:
-        raise ValueError("no object has a place that more than half of the people call right")
+        raise VotesError(
+            "no object has a place that more than half of the people call right: there is nothing to measure"
+        )
     return float(np.mean(precisions)), len(precisions)

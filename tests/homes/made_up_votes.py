@@ -20,12 +20,13 @@ SPLITS = {"train": ["mug", "remote_control", "pillow"], "val": ["tooth-brush"], 
 
 
 def content(seed: int = 0) -> dict[str, Any]:
-    """Everybody ranks three right and two wrong places for each object, at random."""
+    """For each object, all agree on the best place; everybody has two more right ones and two wrong ones, at random."""
     rng = np.random.default_rng(seed)
     ranks = np.zeros((len(PLACEMENTS), len(OBJECTS), ANNOTATORS), dtype=np.int64)
     for index in range(len(OBJECTS)):
+        best, *others = rng.permutation(len(PLACEMENTS))
         for annotator in range(ANNOTATORS):
-            ranks[rng.permutation(len(PLACEMENTS))[:5], index, annotator] = (1, 2, 3, -1, -2)
+            ranks[[best, *rng.permutation(others)[:4]], index, annotator] = (1, 2, 3, -1, -2)
     return {"ranks": ranks, "objects": [np.str_(name) for name in OBJECTS], "room_receptacles": list(PLACEMENTS)}
 
 

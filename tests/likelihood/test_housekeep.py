@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mrtask.homes.votes import Votes, read_splits, read_votes
+from mrtask.homes.votes import Votes, VotesError, read_splits, read_votes
 from mrtask.likelihood.housekeep import mean_average_precision, predict_votes, vote_triples
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import fit
@@ -32,7 +32,7 @@ def test_the_measure_is_the_mean_over_objects_and_rooms_with_a_right_place():
     assert mean_average_precision(scores, found) == (pytest.approx(np.mean(expected)), 3)
     with_guitar = votes([[6, 0], [5, 10], [9, 6], [7, 5]], ("Cup", "Guitar"))
     assert mean_average_precision(scores, with_guitar) == (pytest.approx(np.mean(expected[:2])), 2)
-    with pytest.raises(ValueError, match="no object has a place that more than half"):
+    with pytest.raises(VotesError, match="no object has a place that more than half"):
         mean_average_precision(scores, votes([[5, 5]] * 4))
 
 
