@@ -13,7 +13,7 @@ STAMP := $(VENV)/.installed
 LOG := $(VENV)/install.log
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint bench dashboard clean-cache
+.PHONY: help install doctor reproduce test lint bench docs dashboard clean-cache
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,9 +29,12 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV)
 	@rm -f $(STAMP)
 	@{ $(BIN)/python -m pip install --constraint constraints.txt --upgrade pip setuptools && \
-		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev,s3]'; \
+		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev,pipeline,s3]'; \
 	} >$(LOG) 2>&1 || { tail -n 20 $(LOG) >&2; echo "error: the installation failed; the whole log is in $(LOG)" >&2; exit 1; }
 	@touch $(STAMP)
+
+doctor:  ## check this machine and say what to do
+	@if [ -x $(BIN)/python ]; then $(BIN)/python -m mrtask.doctor; else "$(PYTHON)" -m mrtask.doctor; fi
 
 reproduce: $(STAMP)  ## run the whole experiment: homes, dataset, training, evaluation, report
 	@$(BIN)/python -m pipeline.reproduce experiment=$(EXPERIMENT) $(ARGS)
@@ -47,6 +50,9 @@ lint: $(STAMP)  ## formatting, style, types and layers
 
 bench: $(STAMP)  ## speed and memory of planners, maps and experiments (about ten minutes)
 	@for name in planners maps scale; do $(BIN)/python benchmarks/bench_$$name.py || exit 1; done
+
+docs: $(STAMP)  ## build the documentation site into build/site
+	@$(BIN)/mkdocs build --strict --quiet $(ARGS)
 
 dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http://127.0.0.1:5000)
 	@MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --workers 1 \

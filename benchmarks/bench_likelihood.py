@@ -2,11 +2,13 @@
 
     python benchmarks/bench_likelihood.py
     python benchmarks/bench_likelihood.py --homes a.jsonl.gz b.jsonl.gz --assets asset-database.json --seeds 5
+    python benchmarks/bench_likelihood.py --homes ... --votes data.npy
 
 Always on generated homes, and on the given ones where there are some (500 to train on, 50 to stop training by, the
-rest to test on, divided as ``homes=procthor`` does). Names held out: each of five parts of the object types, and
-of the container types, is predicted by a model that was trained without it. Each training has a process of its own.
-Networks have the mean and standard deviation of several seeds; what depends on no seed is trained once.
+rest to test on, divided as ``homes=procthor`` does). With votes, also on the same homes with people's contents. Names
+held out: each of five parts of the object types, and of the container types, is predicted by a model that was trained
+without it. Each training has a process of its own. Networks have the mean and standard deviation of several seeds;
+what depends on no seed is trained once.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import pandas as pd
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import parse_house, read_houses
+from mrtask.homes.receptacles import BUNDLED_TABLE
 from mrtask.homes.split import split_homes
 from mrtask.likelihood.dataset import Dataset, build_dataset
 from mrtask.likelihood.embeddings import BUNDLED
@@ -29,6 +32,7 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
 from mrtask.likelihood.training import fit, score, score_unseen
+from pipeline.store.voted_contents import VotedContents
 
 HOMES = {"train": 500, "validation": 50, "test": 300}
 SPLIT_SALT = "0"
@@ -103,6 +107,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--homes", nargs="+", type=Path, default=[], help="house files in ProcTHOR's schema")
     parser.add_argument("--assets", type=Path, help="ProcTHOR's asset database")
+    parser.add_argument("--votes", type=Path, help="Housekeep's data.npy, or votes of your own in its format")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=5, help="trainings of each network")
     parser.add_argument("--unseen-seeds", type=int, default=1, help="of those, how many with names held out (10 more)")
@@ -112,10 +117,20 @@ def main() -> None:
     arguments = parser.parse_args()
 
     began_s = time.monotonic()
-    datasets = {}
+    homes = {"generated": generated_homes()}
     if arguments.homes:
-        datasets["given"] = dataset_of(list(read_houses(arguments.homes, arguments.assets)), "given")
-    datasets["generated"] = dataset_of(generated_homes(), "generated")
+        homes = {"given": list(read_houses(arguments.homes, arguments.assets))} | homes
+    if arguments.votes:
+        given = {
+            "file": arguments.votes,
+            "splits": None,
+            "objects": "all",
+            "table": BUNDLED_TABLE,
+            "embedding": BUNDLED,
+        }
+        contents = VotedContents(**given, misplaced=0.1, seed=0)
+        homes |= {f"{name}, people's contents": list(contents.furnish(members)) for name, members in homes.items()}
+    datasets = {name: dataset_of(members, name) for name, members in homes.items()}
     print(f"homes and rows: {time.monotonic() - began_s:.0f} s", flush=True)
     tasks = [(job, datasets[job.data]) for job in jobs(list(datasets), arguments)]
     records = []

@@ -7,13 +7,28 @@ Python's version nor those of other packages.
 
 import ast
 import hashlib
+import os
 from collections.abc import Iterable, Iterator
 from importlib.util import resolve_name
 from pathlib import Path
 
+from mrtask.files import default_cache_dir
+
 ROOT = Path(__file__).resolve().parents[1]
 """The folder that holds the package."""
 SUFFIXES = frozenset({".py", ".yaml", ".toml", ".json", ".csv", ".jinja"})
+
+KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/analysis/bounds")
+"""The packages that hold compiled kernels."""
+
+
+def use_kernel_cache() -> None:
+    """Sets numba's cache folder, unless it is set, to one named after the hash of the packages that hold kernels.
+
+    numba does not notice when a function that a cached kernel calls was edited in another file. To be called before
+    numba is imported.
+    """
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / hash_folders(*KERNEL_SOURCES)))
 
 
 def hash_folders(*folders: str, root: Path = ROOT) -> str:

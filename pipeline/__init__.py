@@ -4,15 +4,12 @@ Importing this package sets numba's cache folder to one named after the hash of 
 numba does not notice when a function that a cached kernel calls was edited in another file.
 """
 
-import os
 import sys
 
-from mrtask.files import default_cache_dir
+from mrtask.sources import use_kernel_cache
 from pipeline.base import interrupt
-from pipeline.store.version import source_hash
 
-KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning")
-os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / source_hash(*KERNEL_SOURCES)))
+use_kernel_cache()
 
 # So it is while Python looks for the module that `python -m pipeline.<stage>` names.
 if sys.argv[0] == "-m":

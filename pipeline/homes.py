@@ -2,7 +2,8 @@
 
 Generated homes go to ``<datasets_dir>/generated`` in ProcTHOR's own schema and are read like anybody's. Homes of your
 own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json. A scanned floor: homes=ros_map
-homes.map=lab.yaml homes.containers=containers.yaml. draw=true draws floor plans.
+homes.map=lab.yaml homes.containers=containers.yaml. draw=true draws floor plans. homes.contents=housekeep refurnishes
+any of them with what people put where.
 """
 
 import tempfile
@@ -21,7 +22,8 @@ from mrtask.homes.download import DownloadError, fetch_procthor10k
 from mrtask.homes.generator import house
 from mrtask.homes.generator.house import generate_house, write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
-from mrtask.homes.split import split_homes
+from mrtask.homes.split import HomeSplit, split_homes
+from mrtask.likelihood.rows import SPLITS
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.sources import hash_module
@@ -31,6 +33,7 @@ from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import (
     Config,
+    Contents,
     GeneratedHomes,
     Homes,
     HousesInFiles,
@@ -56,6 +59,7 @@ from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import HOMES
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
+from pipeline.store.voted_contents import say_match, voted_contents
 
 GENERATED_FILE = "generated.jsonl.gz"
 DRAWN_PER_CLASS = 4
@@ -66,26 +70,28 @@ PROCTHOR_10K_ASSETS = "asset-database.json"
 
 def run(config: Config, session: Session) -> HomeSet:
     """The stage: the homes, and with ``draw=true`` floor plans of some in ``<output_dir>/homes``."""
-    home_set = make(config.homes, config.datasets_dir, session.pool)
+    home_set = make(config.homes, config.datasets_dir, session.pool, config.contents)
     if config.draw:
         drawn = home_set.instead_of_test or home_set.houses
         draw(drawn, config.homes.source, config.map, config.cache_dir, Folder(config.output_dir) / HOMES)
     return home_set
 
 
-def make(options: Homes, datasets_dir: Path, pool: Pool) -> HomeSet:
+def make(options: Homes, datasets_dir: Path, pool: Pool, contents: Contents) -> HomeSet:
     """The homes, generated or read and then split, unless that was done before.
 
     Raises:
         UserError: a file is missing or a home in it faulty, or there are fewer homes than are asked for.
         MapError: a map cannot be read.
+        VotesError: the files of the contents cannot be read.
     """
     began_s = time.monotonic()
+    held = {"contents": voted_contents(contents, datasets_dir) if options.contents == "housekeep" else None}
     maps = None
     if isinstance(options, RosMapHomes):
-        maps = _read_maps(options)
+        maps = _read_maps(options).model_copy(update=held)
         options = options.to_learn_from()
-    houses = _houses(options, datasets_dir, pool)
+    houses = _houses(options, datasets_dir, pool).model_copy(update=held)
     folder = datasets_dir / "homes" / f"{options.source}-{_set_key(options, houses)}"
     if (manifest := artifacts.find_manifest(folder, HomesManifest)) is not None:
         console.skipped(console.shown(folder))
@@ -93,16 +99,19 @@ def make(options: Homes, datasets_dir: Path, pool: Pool) -> HomeSet:
         manifest = artifacts.make(folder, lambda _: _manifest(options, houses))
         say_faults(houses)
         console.line(describe(manifest))
+        if houses.contents is not None:
+            say_match(houses.contents, [*houses.read(), *(maps.read() if maps else ())])
         console.result(console.shown(folder), time.monotonic() - began_s)
     return HomeSet(folder, manifest, houses, maps)
 
 
 def _set_key(options: GeneratedHomes | HousesInFiles, houses: HouseFiles) -> str:
-    """What decides which homes there are and how they are split: the files' content, the options and the code."""
+    """What decides which homes there are and how they are split: the files' and homes' contents, options and code."""
     return content_hash(
         [
             options.model_dump(mode="json", exclude={"files", "assets"}),
             sorted(sha256_of(path) for path in houses.paths),
+            houses.contents.key() if houses.contents else None,
             hash_module(procthor.__name__),
             hash_module(split.__name__),
         ]
@@ -185,10 +194,10 @@ def _read_maps(options: RosMapHomes) -> MapFiles:
 
 def _manifest(options: GeneratedHomes | HousesInFiles, houses: HouseFiles) -> HomesManifest:
     homes, faults = houses.read(), houses.faults()
+    # Split as they come, so that a home stays in its part whatever it is furnished with.
+    furnished = {home.id: other.id for home, other in zip(houses.as_they_come().read(), homes, strict=True)}
     try:
-        parts = split_homes(
-            [home.id for home in homes], options.train, options.validation, options.test, str(options.seed)
-        )
+        parts = split_homes(furnished, options.train, options.validation, options.test, str(options.seed))
     except ValueError as error:
         raise UserError(
             f"homes: {error}; give more homes or lower homes.train, homes.validation, homes.test"
@@ -204,7 +213,9 @@ def _manifest(options: GeneratedHomes | HousesInFiles, houses: HouseFiles) -> Ho
         faults=faults[:FAULTS_LISTED],
         by_size_class=count_by_size_class(homes),
         containers=sum(len(home.containers) for home in homes),
-        split=parts,
+        split=HomeSplit(
+            **{name: tuple(sorted(furnished[home_id] for home_id in getattr(parts, name))) for name in SPLITS}
+        ),
     )
 
 

@@ -8,12 +8,9 @@ draw=true also a gallery of both.
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
-from omegaconf import OmegaConf
-from pydantic import TypeAdapter
 
 from mrtask.analysis.floor_plans import draw_gallery
 from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
@@ -23,15 +20,15 @@ from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import score, train_model
 from mrtask.maps.home_map import build_map
 from pipeline import dataset, homes
-from pipeline.app.main import CONF_DIR, main
+from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, GeneratedHomes, Map, Model, Procthor10kHomes, ProcthorHomes, UserError
+from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
 from pipeline.store.layout import REALISM
-from pipeline.train import training_options
+from pipeline.train import preset_options
 
 HOMES_TABLE, TRANSFER_TABLE = "homes.csv", "transfer.csv"
 METRICS = ("roc_auc", "log_loss", "best_log_loss")
@@ -48,15 +45,22 @@ def run(config: Config, session: Session) -> None:
             f"homes={options.source}: real homes are needed to compare with; give homes=procthor homes.files=[...] "
             "homes.assets=... or homes=procthor10k"
         )
+    if options.contents != "procthor":
+        raise UserError(
+            f"homes.contents={options.contents}: the generator is compared with homes as they come; use procthor"
+        )
     generated = GeneratedHomes(
         source="generated",
+        contents="procthor",
         seed=options.seed,
         train=options.train,
         validation=options.validation,
         test=config.realism.generated_test,
     )
     target = Folder(config.output_dir) / REALISM
-    real_set, generated_set = (homes.make(each, config.datasets_dir, session.pool) for each in (options, generated))
+    real_set, generated_set = (
+        homes.make(each, config.datasets_dir, session.pool, config.contents) for each in (options, generated)
+    )
     compare(generated_set.houses, real_set.houses, config.map, config.seed, target, session.pool)
     if config.draw:
         draw(generated_set.houses, real_set.houses, config.map, config.cache_dir, target)
@@ -64,7 +68,7 @@ def run(config: Config, session: Session) -> None:
         folders = [dataset.build(each, config.datasets_dir, session.pool) for each in (generated_set, real_set)]
         ours, theirs = map(read_dataset, folders)
         options_by_kind: dict[str, TrainingOptions] = {
-            kind: _training_options(config, kind) for kind in config.realism.models
+            kind: preset_options(config, kind) for kind in config.realism.models
         }
         transfer(ours, theirs, options_by_kind, target)
 
@@ -125,17 +129,6 @@ def _describe(members: Sequence[Home], map_options: Map, pool: Pool) -> list[Des
 def _describe_chunk(number: int, chunks: Sequence[Sequence[Home]], map_options: Map) -> list[DescribedHome]:
     resolution_m, radius_m = map_options.resolution_m, map_options.robot_radius_m
     return [describe_home(home, build_map(home, resolution_m, radius_m)) for home in chunks[number]]
-
-
-def _training_options(config: Config, kind: str) -> TrainingOptions:
-    """The options of a kind's own preset, on the configured embedding; a comparison leaves no checkpoints."""
-    preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
-    model = TypeAdapter[Model](Model).validate_python(preset)
-    given = config.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
-    return replace(
-        training_options(model.model_copy(update=given), config.trainer, config.seed, config.cache_dir),
-        checkpoint_dir=None,
-    )
 
 
 def _say(table: str) -> None:

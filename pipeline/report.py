@@ -23,9 +23,9 @@ from pipeline.base.config import Config, Tracking, UserError, content_hash
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
-from pipeline.store.layout import EPISODES, MANIFEST, REPORT, REPORT_INDEX, REPORT_KEY, STAGES
+from pipeline.store.layout import EPISODES, MANIFEST, OPTIMALITY, REPORT, REPORT_INDEX, REPORT_KEY, STAGES
 from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, StageTimes
-from pipeline.store.rows import read_episodes, read_traces
+from pipeline.store.rows import read_csv, read_episodes, read_traces
 from pipeline.store.version import source_hash
 
 JUDGED_COLUMNS = ["trial_id", "planner", "status", "cost_s"]
@@ -40,6 +40,8 @@ class Collected:
     """Of all of them; of a sweep with a column ``sweep``."""
     facts: Mapping[str, Any]
     """What the report says about the run; of a sweep, about its last cell."""
+    optimality: pd.DataFrame | None
+    """What pipeline.optimality left in the folder."""
 
     @property
     def manifest(self) -> EvaluationManifest:
@@ -77,7 +79,9 @@ def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Fol
     collected = collect(folder)
     console.headline("report", f"{len(collected.episodes)} episodes")
     target = folder / REPORT
-    digest = content_hash([_digest(collected.episodes), collected.facts, source_hash("mrtask/analysis")])
+    digest = content_hash(
+        [_digest(collected.episodes), collected.facts, _as_text(collected.optimality), source_hash("mrtask/analysis")]
+    )
     key = ReportKey(key=digest)
     if target.read(REPORT_KEY) == key.to_json():
         console.skipped(target / REPORT_INDEX)
@@ -104,14 +108,15 @@ def collect(folder: Folder) -> Collected:
         frames = [_episodes(cell, manifest).assign(sweep=manifest.sweep) for cell, manifest in cells]
         expected = sum(manifest.expected_episodes for _, manifest in cells)
         facts = cells[-1][1].facts() | {"output_dir": folder.location, "expected_episodes": expected}
-        return Collected(cells, pd.concat(frames, ignore_index=True), facts)
+        return Collected(cells, pd.concat(frames, ignore_index=True), facts, read_csv(folder, OPTIMALITY))
     of_run = _finished([folder])
     if not of_run:
         raise UserError(
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     [(_, manifest)] = of_run
-    return Collected(of_run, _episodes(folder, manifest), manifest.facts(StageTimes.find(folder, STAGES)))
+    facts_of_run = manifest.facts(StageTimes.find(folder, STAGES))
+    return Collected(of_run, _episodes(folder, manifest), facts_of_run, read_csv(folder, OPTIMALITY))
 
 
 def _finished(folders: list[Folder]) -> tuple[tuple[Folder, EvaluationManifest], ...]:
@@ -131,11 +136,15 @@ def _render(collected: Collected, target: Path) -> None:
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
-    write_report(render_report(episodes, collected.facts, drawn), target)
+    write_report(render_report(episodes, collected.facts, drawn, collected.optimality), target)
 
 
 def _digest(episodes: pd.DataFrame) -> str:
     return content_hash(sorted(map(str, episodes[JUDGED_COLUMNS].itertuples(index=False, name=None))))
+
+
+def _as_text(rows: pd.DataFrame | None) -> str | None:
+    return None if rows is None else rows.to_csv(index=False)
 
 
 def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:

@@ -7,8 +7,12 @@ beating the present champion. A model is trained again only when dataset, model,
 import shutil
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from omegaconf import OmegaConf
+from pydantic import TypeAdapter
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.embeddings import check_embedding
@@ -16,7 +20,7 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOptions
 from mrtask.likelihood.training import TrainedModel, score, train_model
 from pipeline import dataset
-from pipeline.app.main import main
+from pipeline.app.main import CONF_DIR, main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.backends.tracking import ChampionError
@@ -132,6 +136,17 @@ def training_options(model: Model, trainer: Trainer, seed: int, cache_dir: Path)
         network=NetworkOptions(seed=seed, **trainer.model_dump(), **model.model_dump(include=of_network)),
         cache_dir=cache_dir,
         checkpoint_dir=cache_dir / "checkpoints",
+    )
+
+
+def preset_options(config: Config, kind: str) -> TrainingOptions:
+    """The options of a kind's own preset, on the configured embedding; a comparison leaves no checkpoints."""
+    preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
+    model = TypeAdapter[Model](Model).validate_python(preset)
+    given = config.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
+    return replace(
+        training_options(model.model_copy(update=given), config.trainer, config.seed, config.cache_dir),
+        checkpoint_dir=None,
     )
 
 

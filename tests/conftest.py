@@ -1,17 +1,20 @@
 """Fixtures shared by all tests: real homes where this checkout has them, and a small home laid out by hand."""
 
 import copy
+import functools
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mrtask.homes.catalogue import Asset, AssetDatabase, Size
+from mrtask.homes.generator import homes as generated
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import parse_house
 from mrtask.maps.home_map import HomeMap, build_map
 
+_generate_once = functools.cache(generated.generate_home)
 SHARED_HOMES = Path(__file__).resolve().parents[2] / "shared" / "homes"
 
 ASSETS: AssetDatabase = {
@@ -79,6 +82,12 @@ def make_two_room_house() -> dict[str, Any]:
         ],
         "metadata": {"schema": "1.0.0"},
     }
+
+
+@pytest.fixture
+def homes_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Programs of examples and documentation that generate the same homes share them."""
+    monkeypatch.setattr(generated, "generate_home", _generate_once)
 
 
 @pytest.fixture

@@ -52,7 +52,12 @@ class Report:
     """Relative path -> content of what stands beside the page: ``replays/<trial>.html``."""
 
 
-def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Mapping[str, Home]) -> Report:
+def render_report(
+    episodes: pd.DataFrame,
+    manifest: Mapping[str, Any],
+    homes: Mapping[str, Home],
+    optimality: pd.DataFrame | None = None,
+) -> Report:
     """The report of a run, or of a sweep.
 
     Args:
@@ -61,11 +66,12 @@ def render_report(episodes: pd.DataFrame, manifest: Mapping[str, Any], homes: Ma
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.facts` reads it, and all of it is optional.
         homes: home id -> home, for drawing; trials in other homes are not drawn. `trials_to_draw` names those needed.
+        optimality: one row per trial whose lower bound was computed; see `mrtask.analysis.bounds.assess`.
 
     Raises:
         ValueError: a column is missing, or the episodes contradict each other.
     """
-    data = collect_report_data(episodes, manifest, homes)
+    data = collect_report_data(episodes, manifest, homes, optimality)
     replays = replays_of(data)
     data = replace(data, replays={trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays})
     table = result_table(data.summaries, data.published)

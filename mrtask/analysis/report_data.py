@@ -1,6 +1,6 @@
 """What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,6 +9,7 @@ import pandas as pd
 from mrtask.analysis.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.facts import Manifest, ModelFacts, missing_episodes, model_facts
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
+from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.published import Published, load_published
 from mrtask.analysis.statistics import Summary, summarise
 from mrtask.homes.home import Home
@@ -26,6 +27,8 @@ class ReportData:
     summaries: Mapping[Variant, Summary]
     """By variant, in order; one, named by the empty text, without a sweep."""
     published: Published
+    optimality: Sequence[CellOptimality] = ()
+    """How far planners are from optimal, where that was measured."""
     replays: Mapping[str, str] = field(default_factory=dict)
     """Trial id -> the page of its replay, of the notable trials."""
 
@@ -66,15 +69,21 @@ class ReportData:
         return [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
 
 
-def collect_report_data(episodes: pd.DataFrame, manifest: Manifest, homes: Mapping[str, Home]) -> ReportData:
+def collect_report_data(
+    episodes: pd.DataFrame, manifest: Manifest, homes: Mapping[str, Home], optimality: pd.DataFrame | None = None
+) -> ReportData:
     """Checks the episodes and computes their statistics.
+
+    Args:
+        optimality: the rows of `mrtask.analysis.bounds.assess`, where there are any.
 
     Raises:
         ValueError: the episodes are not what `checked_episodes` demands.
     """
     checked = checked_episodes(episodes)
     summaries = {variant: summarise(rows_of(checked, variant)) for variant in variants_of(checked)}
-    return ReportData(checked, manifest, homes, summaries, load_published())
+    from_optimal = summarise_optimality(optimality) if optimality is not None else ()
+    return ReportData(checked, manifest, homes, summaries, load_published(), from_optimal)
 
 
 def variants_of(episodes: pd.DataFrame) -> list[Variant]:

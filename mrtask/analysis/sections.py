@@ -134,6 +134,13 @@ def planners_section(data: ReportData) -> Markup:
     )
 
 
+def optimality_section(data: ReportData) -> Markup | None:
+    """How far planners are from the best that any planner can reach; None where it was not measured."""
+    if not data.optimality:
+        return None
+    return render_fragment("optimality", table=tables.optimality_table(data.optimality))
+
+
 def model_section(data: ReportData) -> Markup:
     """What the likelihood model is and how good."""
     return render_fragment("model", model=data.model)
@@ -174,6 +181,7 @@ SECTIONS: Sequence[Section] = (
     Section("trajectories", "Trajectories", "Trajectories", trajectories_section),
     Section("trials", "Trials", "Trial by trial", trials_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
+    Section("optimality", "Optimality", "How far from optimal", optimality_section),
     Section("model", "Likelihood model", "Likelihood model", model_section),
     Section("homes", "Homes", "Homes", homes_section),
     Section("run", "Run", "Run", run_section),

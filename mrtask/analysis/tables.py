@@ -9,6 +9,7 @@ import numpy as np
 
 from mrtask.analysis.columns import Column, Entry, Row, Table, interval_text, make_table
 from mrtask.analysis.episodes import Variant
+from mrtask.analysis.optimality import CellOptimality
 from mrtask.analysis.published import Published, RealWorldTrial
 from mrtask.analysis.result_table import published_name
 from mrtask.analysis.statistics import (
@@ -56,6 +57,19 @@ REAL_WORLD_COLUMNS = (
         lambda trial: 100 * (1 - trial.planner_m / trial.myopic_m), ("", "improvement"), digits=1, unit=" %"
     ),
 )
+OPTIMALITY_COLUMNS = (
+    Column[CellOptimality](lambda cell: cell.gap_percent.n, ("", "trials")),
+    Column[CellOptimality](lambda cell: cell.cost_s, ("mean makespan", "planner"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.bound_s, ("mean makespan", "bound"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.clairvoyant_s, ("mean makespan", "clairvoyant"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.gap_percent, ("planner above bound", "of means"), digits=1, unit=" %"),
+    Column[CellOptimality](
+        lambda cell: cell.median_gap_percent, ("planner above bound", "median trial"), digits=1, unit=" %"
+    ),
+    Column[CellOptimality](lambda cell: 100 * cell.exact_share, ("bound", "exact"), unit=" %"),
+    Column[CellOptimality](lambda cell: cell.bound_seconds, ("bound", "CPU time"), digits=2, unit=" s"),
+    Column[CellOptimality](lambda cell: cell.failed, ("", "unfinished")),
+)
 
 
 def paper_table(summary: Summary, published: Published, planner: str | None) -> Table:
@@ -95,7 +109,7 @@ def _improvement_rows(summary: Summary, published: Published, planner: str, cell
         if summary.compared(planner, baseline):
             title = f"Improvement of {planner_label(planner)} over {planner_label(baseline)}"
             rows.append(Row(f"{title}, its 95 % interval, and the paper's", heading=True))
-            entries = tuple(_improvement_entry(summary, published, cell, planner, baseline) for cell in cells)
+            entries = tuple(improvement_entry(summary, published, cell, planner, baseline) for cell in cells)
             rows.append(Row("improvement", entries))
     return rows
 
@@ -105,7 +119,7 @@ def _gap_rows(summary: Summary, planner: str, cells: Sequence[Cell]) -> list[Row
         return []
     return [
         Row(f"Share closed of the gap between {INFORMED_BASELINE} and {KNOWN}", heading=True),
-        Row(planner_label(planner), tuple(_percent_entry(summary.gap(cell, planner)) for cell in cells)),
+        Row(planner_label(planner), tuple(percent_entry(summary.gap(cell, planner)) for cell in cells)),
     ]
 
 
@@ -135,7 +149,7 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
         lines = [
             Row(
                 variant or "as configured",
-                tuple(_percent_entry(summary.improvement(cell, planner, baseline)) for cell in cells),
+                tuple(percent_entry(summary.improvement(cell, planner, baseline)) for cell in cells),
             )
             for variant, summary in summaries.items()
             if any((cell, planner, baseline) in summary.comparisons for cell in cells)
@@ -154,6 +168,18 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
     return Table(tuple((name, team) for (name, _), team in zip(cells, teams, strict=True)), tuple(rows))
 
 
+def optimality_table(cells: Sequence[CellOptimality]) -> Table:
+    """How far planners are from optimal, cell by cell."""
+    several = len({cell.planner for cell in cells}) > 1
+    return make_table(
+        OPTIMALITY_COLUMNS,
+        [
+            (f"{cell_name(cell.cell)}, {planner_label(cell.planner)}" if several else cell_name(cell.cell), cell)
+            for cell in cells
+        ],
+    )
+
+
 def real_world_table(published: Published) -> Table:
     """The paper's two-robot trials in real apartments; ours are simulated, so they stand alone."""
     labels = [f"{trial.name}: {trial.task} ({len(trial.containers)} containers)" for trial in published.real_world]
@@ -170,10 +196,11 @@ def _cost_entry(summary: Summary, published: Published, cell: Cell, planner: str
     return Entry(_cost_text(found.cost_cells), (interval_text(found.cost_cells), *details, *unfinished))
 
 
-def _improvement_entry(summary: Summary, published: Published, cell: Cell, planner: str, baseline: str) -> Entry:
+def improvement_entry(summary: Summary, published: Published, cell: Cell, planner: str, baseline: str) -> Entry:
+    """Our improvement with its interval and the published one, marked as above, around or below it."""
     estimate = summary.improvement(cell, planner, baseline)
     printed = published.improvement_of(planner, baseline, cell)
-    entry = _percent_entry(estimate)
+    entry = percent_entry(estimate)
     if printed is None:
         return entry
     mark = ""
@@ -183,7 +210,8 @@ def _improvement_entry(summary: Summary, published: Published, cell: Cell, plann
     return Entry(f"{entry.value} {mark}".strip(), (*entry.details, f"paper {printed:.2f} %"), tone)
 
 
-def _percent_entry(estimate: Estimate) -> Entry:
+def percent_entry(estimate: Estimate) -> Entry:
+    """A percentage with its interval."""
     return Entry(f"{estimate.value:.1f} %", (interval_text(estimate),)) if estimate.defined else Entry(NOTHING)
 
 

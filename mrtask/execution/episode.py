@@ -13,19 +13,22 @@ from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Plan, PlanningProblem
+from mrtask.planning.problem import Plan, Planner, PlanningProblem
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05
 """The paper's grid cell, in which its table counts cost."""
 MAX_DECISIONS = 1000
+IDLE_DECISIONS_PER_ROBOT = 10
+"""An episode fails with so many decisions in a row between which nothing was learned or done: its planner goes round in
+circles. A team needs no more than one or two each, for robots that take up a place early."""
 Observer = Callable[[float, PlanningProblem, Plan], None]
 """Told of each decision: the time in seconds, what the planner saw and what it answered."""
 
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What an episode came to. Cost is the makespan; ``error`` says why a failed one failed."""
+    """What an episode came to. What it costs is the trial's to say; ``error`` says why a failed one failed."""
 
     planner: str
     status: str
@@ -36,6 +39,8 @@ class EpisodeResult:
     samples: int
     error: str | None
     trace: Trace
+    searched: tuple[bool, ...]
+    """Of each container: whether its contents were seen, or known from the start."""
 
 
 def run_episode(
@@ -46,6 +51,7 @@ def run_episode(
     planner_name: str,
     planner_options: Mapping[str, object] | None = None,
     *,
+    planner: Planner | None = None,
     max_decisions: int = MAX_DECISIONS,
     observe: Observer | None = None,
 ) -> EpisodeResult:
@@ -53,13 +59,15 @@ def run_episode(
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        planner: the planner itself, where it is not to be made from its name and options.
 
     Raises:
         ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
     """
-    planner = make_planner(planner_name, planner_options)
+    planner = planner or make_planner(planner_name, planner_options)
     simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
-    decisions, samples, planning_s, error = 0, 0, 0.0, None
+    decisions, idle_decisions, samples, planning_s, error = 0, 0, 0, 0.0, None
+    max_idle_decisions = IDLE_DECISIONS_PER_ROBOT * trial.team.robots
     while not simulation.accepted:
         if decisions == max_decisions:
             error = f"decision limit of {max_decisions} reached"
@@ -81,7 +89,12 @@ def run_episode(
                 else "every robot waits and none is under way"
             )
             break
-    cost_s = simulation.time_s if error is None else None
+        idle_decisions = 0 if simulation.news else idle_decisions + 1
+        if idle_decisions == max_idle_decisions:
+            error = f"no progress for {idle_decisions} decisions: {planner_name} neither searches nor interacts"
+            break
+    trace = simulation.trace()
+    cost_s = _cost_s(trial, simulation.time_s, trace) if error is None else None
     return EpisodeResult(
         planner=planner_name,
         status="accepted" if error is None else "failed",
@@ -91,7 +104,8 @@ def run_episode(
         planning_s=planning_s,
         samples=samples,
         error=error,
-        trace=simulation.trace(),
+        trace=trace,
+        searched=tuple(bool(seen) for seen in simulation.searched),
     )
 
 
@@ -114,5 +128,19 @@ def _simulation(
     automaton = build_automaton(trial.formula, trial.objects)
     truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
     return Simulation(
-        home, home_map, automaton, likelihood, truth, team=trial.team, start_cell=trial.start_cell, known=known
+        home,
+        home_map,
+        automaton,
+        likelihood,
+        truth,
+        team=trial.team,
+        start_cell=trial.start_cell,
+        known=known,
+        known_containers=trial.known,
     )
+
+
+def _cost_s(trial: Trial, makespan_s: float, trace: Trace) -> float:
+    if trial.cost == "makespan":
+        return makespan_s
+    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == "move") for legs in trace.robots)

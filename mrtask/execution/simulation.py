@@ -5,7 +5,7 @@ interacts if its assignment and the task allow it, and is free. All events of on
 is asked for a decision; interactions that end at the same instant spell letters in the order that serves the task.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -45,6 +45,7 @@ class Simulation:
         truth: [C, O] which container holds which task object.
         likelihood: [C, O] the prior that planners see.
         known: the team knows the truth from the start, and no container needs a search.
+        known_containers: these need no search even so.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class Simulation:
         team: Team,
         start_cell: tuple[int, int],
         known: bool = False,
+        known_containers: Sequence[int] = (),
     ) -> None:
         self.home, self.home_map, self.automaton, self.truth = home, home_map, automaton, truth
         self.spec = team.spec
@@ -65,6 +67,7 @@ class Simulation:
         self.time_s = 0.0
         self.state = automaton.initial
         self.searched = home_map.reachable.copy() if known else np.zeros(len(home.containers), dtype=bool)
+        self.searched[list(known_containers)] = True
         self.presence_prob = np.where(self.searched[:, None], truth.astype(float), likelihood)
         self.presence_prob[~home_map.reachable] = 0.0
         self._travel_s = home_map.travel_m / team.spec.speed_m_per_s
@@ -72,7 +75,7 @@ class Simulation:
         self._robots = [_Robot(self._start) for _ in range(team.robots)]
         self._letters: list[Letter] = []
         self._decide_again = False
-        self._news = False
+        self.news = False
         """Whether anything was learned or done since the last decision."""
 
     @property
@@ -91,7 +94,7 @@ class Simulation:
             robots=tuple(self._status(robot) for robot in self._robots),
             search_time_s=self.spec.search_time_s,
             interact_time_s=self.spec.interact_time_s,
-            may_redirect=self._news,
+            may_redirect=self.news,
         )
 
     def assign(self, assignments: Mapping[int, Assignment]) -> None:
@@ -106,14 +109,14 @@ class Simulation:
                 raise ValueError(f"the planner left free robot {index} without an assignment; `WAIT` is one")
         for index, assignment in assignments.items():
             robot = self._robots[index]
-            if robot.mode != "free" and not (self._news and robot.mode == "move"):
+            if robot.mode != "free" and not (self.news and robot.mode == "move"):
                 raise ValueError(f"robot {index} is busy ({robot.mode}) and cannot take {assignment}")
             if robot.mode == "move" and assignment.container == robot.assignment.container:
                 robot.assignment = assignment
             else:
                 self._start_action(robot, assignment)
         letters = len(self._letters)
-        self._news = False
+        self.news = False
         self._settle()
         self._decide_again = len(self._letters) > letters
 
@@ -205,7 +208,7 @@ class Simulation:
     def _reveal(self, robot: _Robot) -> None:
         if not self.searched[robot.place]:
             self.searched[robot.place] = True
-            self._news = True
+            self.news = True
             self.presence_prob[robot.place] = self.truth[robot.place]
         self._close_leg(robot, kind="search")
         robot.mode, robot.until_s = "settling", self.time_s
@@ -249,7 +252,7 @@ class Simulation:
             robot = next(robot for robot in due if robot.obj == obj)
             place = self.home.containers[robot.place].id
             self.state = int(self.automaton.transitions[self.state, obj])
-            self._news = True
+            self.news = True
             self._letters.append(
                 Letter(self.time_s, self._robots.index(robot), self.automaton.propositions[obj], place)
             )
@@ -284,18 +287,20 @@ class Simulation:
 
 
 def serving_order(automaton: Automaton, state: int, objects: frozenset[int]) -> list[int]:
-    """The order in which interactions of one instant bring the task nearest to acceptance, the idle ones left out.
+    """The order of one instant's interactions: all that advance the task are made, so that it ends nearest to done.
 
-    An interaction that does not advance the task when its turn comes is dropped; ties go to the lower object index.
+    Only an interaction that does not advance the task when its turn comes is dropped. Of orders that end equally near,
+    the one that drops fewest; then the lower object index first.
     """
 
     @cache
     def best(state: int, rest: frozenset[int]) -> tuple[int, tuple[int, ...]]:
-        options: list[tuple[int, tuple[int, ...]]] = [(int(automaton.steps_to_accept[state]), ())]
+        orders = []
         for obj in sorted(rest):
             if automaton.advancing[state, obj]:
                 steps, order = best(int(automaton.transitions[state, obj]), rest - {obj})
-                options.append((steps, (obj, *order)))
-        return min(options, key=lambda option: (option[0], -len(option[1])))
+                orders.append((steps, (obj, *order)))
+        idle = (int(automaton.steps_to_accept[state]), ())
+        return min(orders, key=lambda option: (option[0], -len(option[1])), default=idle)
 
     return list(best(state, objects)[1])

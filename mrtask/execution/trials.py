@@ -9,7 +9,14 @@ import numpy as np
 from mrtask.execution.team import RobotSpec, Team
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
-from mrtask.tasks.templates import TEMPLATES, make_formula
+from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
+
+COSTS = ("makespan", "least_motion")
+"""What an episode costs: the time until the task is done, or how long the robot that drove least was driving (the
+authors' code)."""
+HOME_ORDERS = ("shuffled", "file")
+"""How a cell's trials go through the homes: shuffled for each cell, or as they stand in the files, the same for all
+team sizes (the authors' code)."""
 
 
 @dataclass(frozen=True)
@@ -25,16 +32,26 @@ class Trial:
     objects: tuple[str, ...]
     start_cell: tuple[int, int]
     seed: int
+    known: tuple[int, ...] = ()
+    """Indices of the home's containers whose contents every planner knows from the start."""
+    cost: str = "makespan"
+    """One of `COSTS`."""
 
 
 @dataclass(frozen=True)
 class TrialOptions:
     """Tasks of trials, from templates or a ``formula`` of the user's own over ``formula_objects``, and their robots."""
 
-    templates: tuple[str, ...] = tuple(TEMPLATES)
+    templates: tuple[str, ...] = PAPER_TEMPLATES
     formula: str | None = None
     formula_objects: tuple[str, ...] = ()
     robot: RobotSpec = field(default_factory=RobotSpec)
+    tasks_per_home: int = 1
+    """So many trials in a row are in one home."""
+    unsearched_share: tuple[float, float] = (1.0, 1.0)
+    """A trial's share of unsearched containers is drawn between these; all others are known from the start."""
+    cost: str = "makespan"
+    """One of `COSTS`."""
 
 
 def trial_id(size_class: str, robots: int, number: int) -> str:
@@ -48,9 +65,15 @@ def key_seed(*key: int | str) -> int:
     return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def home_order(homes: Sequence[Home], size_class: str, robots: int, seed: int) -> list[Home]:
-    """The homes of a class in the order in which a cell's trials take them, whatever order they come in."""
-    members = sorted((home for home in homes if home.size_class == size_class), key=lambda home: home.id)
+def home_order(homes: Sequence[Home], size_class: str, robots: int, seed: int, order: str = "shuffled") -> list[Home]:
+    """The homes of a class in the order in which a cell's trials take them, see `HOME_ORDERS`.
+
+    Shuffled, they come in the same order whatever the order of ``homes``.
+    """
+    members = [home for home in homes if home.size_class == size_class]
+    if order == "file":
+        return members
+    members.sort(key=lambda home: home.id)
     rng = np.random.default_rng(key_seed(seed, "homes", size_class, robots))
     return [members[index] for index in rng.permutation(len(members))]
 
@@ -84,8 +107,9 @@ def sample_trial(
     """
     options = options or TrialOptions()
     rng = np.random.default_rng(key_seed(seed, "trial", size_class, robots, number))
+    share_rng = np.random.default_rng(key_seed(seed, "known", size_class, robots, number))
     for step in range(len(order)):
-        home = order[(number + step) % len(order)]
+        home = order[(number // options.tasks_per_home + step) % len(order)]
         home_map = map_of(home)
         names = reachable_objects(home, home_map)
         if options.formula is not None:
@@ -109,8 +133,24 @@ def sample_trial(
             objects=objects,
             start_cell=(int(row), int(col)),
             seed=key_seed(seed, "planner", size_class, robots, number),
+            known=known_containers(home, objects, options.unsearched_share, share_rng),
+            cost=options.cost,
         )
     raise ValueError(
         f"no {size_class} home has enough distinct reachable objects for any of the templates "
         f"{', '.join(options.templates)}; give other evaluation homes or templates ({len(order)} homes tried)"
     )
+
+
+def known_containers(
+    home: Home, objects: Sequence[str], unsearched_share: tuple[float, float], rng: np.random.Generator
+) -> tuple[int, ...]:
+    """Containers known from the start: all but a share drawn between the bounds, never one that holds a task's object.
+
+    That is how the authors' code draws trials; the share is exceeded where more containers hold such objects.
+    """
+    count = len(home.containers)
+    unsearched = round(rng.uniform(*unsearched_share) * count)
+    empty = [index for index, container in enumerate(home.containers) if not set(container.objects) & set(objects)]
+    known = rng.permutation(empty)[: count - unsearched]
+    return tuple(sorted(int(index) for index in known))

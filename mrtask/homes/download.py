@@ -1,8 +1,9 @@
-"""Downloads ProcTHOR-10K once, checked by sha256; afterwards it is used offline.
+"""Downloads public data once, checked by sha256; afterwards it is used offline.
 
 Files appear complete or not at all. What an interrupted download has got is kept beside the file (``.part``), and the
-next try goes on from there where the server allows it. Sources: github.com/allenai/procthor-10k and, for the sizes of
-furniture, the asset database of github.com/allenai/procthor (both Apache-2.0).
+next try goes on from there where the server allows it. Sources: ProcTHOR-10K from github.com/allenai/procthor-10k and,
+for the sizes of furniture, the asset database of github.com/allenai/procthor (both Apache-2.0); where people put things
+from github.com/yashkant/housekeep (MIT).
 """
 
 import os
@@ -22,6 +23,7 @@ HOMES_URL = "https://media.githubusercontent.com/media/allenai/procthor-10k/4391
 ASSETS_URL = (
     "https://raw.githubusercontent.com/allenai/procthor/d4c4c6a9fdd9679c8b9343d771c510016cd310df/procthor/databases/"
 )
+VOTES_URL = "https://raw.githubusercontent.com/yashkant/housekeep/ff57c791/cos_eor/scripts/orm/amt_data/"
 TRIES = 3
 TIMEOUT_S = 30
 CHUNK_BYTES = 1 << 14
@@ -29,11 +31,11 @@ CHUNK_BYTES = 1 << 14
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """Where a file comes from and what it must be."""
+    """Where a file comes from and what it must be; without ``sha256`` its reader checks the content."""
 
     url: str
     size_bytes: int
-    sha256: str
+    sha256: str | None
 
 
 PROCTHOR_10K: Mapping[str, RemoteFile] = {
@@ -49,6 +51,14 @@ PROCTHOR_10K: Mapping[str, RemoteFile] = {
     "asset-database.json": RemoteFile(
         ASSETS_URL + "asset-database.json", 1497002, "a292c54a227e16b27db81e6bc105c863e674cd6c1ec892d231886ea7604395d4"
     ),
+}
+
+VOTES_FILE, SPLITS_FILE = "data.npy", "splits.yaml"
+HOUSEKEEP: Mapping[str, RemoteFile] = {
+    VOTES_FILE: RemoteFile(
+        VOTES_URL + VOTES_FILE, 2788628, "40d083e88eaf4d2eee644c35525c48c44668626f409dd7e76bf99f64aba8f2ca"
+    ),
+    SPLITS_FILE: RemoteFile(VOTES_URL + SPLITS_FILE, 5000, None),
 }
 
 
@@ -69,10 +79,14 @@ def fetch_procthor10k(
     wanted = list(names)
     if unknown := sorted(set(wanted) - set(files)):
         raise ValueError(f"no file '{unknown[0]}' in ProcTHOR-10K; allowed: {', '.join(files)}")
-    return {name: _fetch(files[name], folder / name, progress) for name in wanted}
+    return {name: fetch(files[name], folder / name, progress) for name in wanted}
 
 
-def _fetch(remote: RemoteFile, path: Path, progress: bool) -> Path:
+def fetch(remote: RemoteFile, path: Path, progress: bool = False) -> Path:
+    """``path``, downloaded unless it is there with the right checksum (without one: unless it is there).
+
+    Raises `DownloadError` (offline, not found, wrong checksum, no room on the disk).
+    """
     part = path.with_name(path.name + ".part")
 
     def download(url: str, output: Any, _: object) -> None:
@@ -81,7 +95,8 @@ def _fetch(remote: RemoteFile, path: Path, progress: bool) -> Path:
 
     pooch.get_logger().setLevel("WARNING")  # the progress bar says what happens
     try:
-        pooch.retrieve(remote.url, f"sha256:{remote.sha256}", path.name, path.parent, downloader=download)
+        expected = f"sha256:{remote.sha256}" if remote.sha256 else None
+        pooch.retrieve(remote.url, expected, path.name, path.parent, downloader=download)
     except requests.exceptions.RequestException as error:
         raise DownloadError(f"{path.name}: {_reason(error, remote)}; {_advice(path)}") from error
     except ValueError as error:

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 BUNDLED = "bundled-minilm"
 BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 
+MIN_SIMILARITY = 0.65
+"""Cosine from which two names may stand for one thing: ``couch`` and ``sofa`` (0.86) do, ``nightstand`` and ``bed``
+(0.60), which only stand together, do not."""
+
 _WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
 _SEPARATORS = re.compile(r"[\s_\-]+")
 
@@ -60,6 +64,17 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
     if not texts:
         return np.zeros((0, _dimension(model)), dtype=np.float32)
     return np.stack([known[text] for text in texts])
+
+
+def nearest_name(
+    name: str, candidates: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None
+) -> str | None:
+    """The candidate of the most similar name by cosine; None where none reaches ``MIN_SIMILARITY``."""
+    vectors = embed_names([name, *candidates], model, cache_dir).astype(np.float64)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    similarity = vectors[1:] @ vectors[0]
+    best = int(np.argmax(similarity))
+    return candidates[best] if similarity[best] >= MIN_SIMILARITY else None
 
 
 class EmbeddingError(InputError):

@@ -6,7 +6,6 @@ Everything is computed on distinct triples with counts, which gives exactly the 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from sklearn.metrics import average_precision_score, roc_auc_score
 
 CALIBRATION_BINS = 10
 
@@ -17,6 +16,8 @@ def evaluate(probs: NDArray[np.float64], triples: pd.DataFrame) -> dict[str, flo
     ``roc_auc`` and ``average_precision`` are NaN where only one label occurs. ``best_log_loss`` is what the triples'
     own frequencies would score: no model on names alone can do better on these rows.
     """
+    from sklearn.metrics import average_precision_score, roc_auc_score  # comes with mrtask[train]
+
     positives = triples["positives"].to_numpy(dtype=np.float64)
     count = triples["count"].to_numpy(dtype=np.float64)
     negatives, rows = count - positives, count.sum()

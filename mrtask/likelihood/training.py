@@ -1,18 +1,19 @@
 """From a dataset to a trained model with its metrics: what ``pipeline.train`` calls. Knows nothing of MLflow."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset
 from mrtask.likelihood.kinds import KINDS, Job
 from mrtask.likelihood.metrics import evaluate
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.options import EpochCallback, EpochMetrics, TrainingOptions
-from mrtask.likelihood.rows import SPLITS
+from mrtask.likelihood.rows import SPLITS, distinct_triples, label_rows, vocabulary
 
 UNSEEN_FOLDS = 5
 
@@ -66,6 +67,25 @@ def fit(
     if options.kind not in KINDS:
         raise ValueError(f"unknown likelihood model {options.kind!r}; allowed: {', '.join(KINDS)}")
     return KINDS[options.kind].train(Job(train, validation, options, on_epoch, on_phase or _say_nothing))
+
+
+def fit_on_homes(
+    train: Iterable[Home], validation: Iterable[Home] = (), options: TrainingOptions | None = None
+) -> LikelihoodModel:
+    """A model that has learned from homes; by default the frequency table, which needs neither torch nor embeddings.
+
+    Only networks use the ``validation`` homes. Other kinds: ``TrainingOptions(kind="similarity")``, with the extra
+    ``mrtask[train]`` installed.
+    """
+    homes = list(train)
+    objects = vocabulary(homes)
+    if not objects:
+        raise ValueError("there is nothing to learn from: no home has an object in a container")
+    learned_from, checked_on = (
+        distinct_triples(pd.concat([label_rows(home, objects) for home in part])) if part else pd.DataFrame()
+        for part in (homes, list(validation))
+    )
+    return fit(learned_from, checked_on, options or TrainingOptions(kind="frequency"))[0]
 
 
 def _say_nothing(phase: str) -> None:

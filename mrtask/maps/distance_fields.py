@@ -1,4 +1,7 @@
-"""Exact shortest-path lengths on an 8-connected grid, one field per goal, by Dijkstra's algorithm with buckets.
+"""Exact path lengths on an 8-connected grid, one field per goal, by Dijkstra's algorithm with buckets.
+
+``shortest`` ways are the shortest; ``soft`` ways are those of least cost where cells near walls cost more, as in the
+authors' code, but their length in metres is what is kept.
 
 Steps cost 1 or sqrt(2), so with buckets as wide as the shortest step every cell in the current bucket is final (Dial
 1969; Dinitz 1978) and no heap is needed. scikit-image's ``MCP_Geometric`` and scipy's ``csgraph.dijkstra`` give the
@@ -10,7 +13,14 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
+WALL_MARGIN_M = 0.5
+WALL_COST = 5.0
+"""On soft ways a metre costs this much right beside what a robot cannot enter, falling to 1 at the margin. (That ways
+keep away from walls is the authors', how much is ours.)"""
+AT_GOAL = 255
+"""In place of a step's number in the steps of soft ways."""
 DIAGONAL = math.sqrt(2.0)
 BUCKETS = 3
 """Used in turn: from one bucket, steps of 1 and sqrt(2) lead into one of the next two."""
@@ -66,6 +76,81 @@ def _fill_fields(padded, goals, resolution_m, fields_m):  # type: ignore[no-unty
         for row in range(fields_m.shape[1]):
             for col in range(fields_m.shape[2]):
                 fields_m[index, row, col] = length[(row + 1) * width + col + 1] * resolution_m
+
+
+def soft_fields(
+    free: NDArray[np.bool_], goals: NDArray[np.int32], resolution_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """[C, H, W] metres along the soft way from every cell to each of ``goals`` [C, 2], and the way's first step.
+
+    The metres are inf where blocked, cut off, or the goal is < 0; the steps are for `follow`.
+    """
+    cost = np.full((free.shape[0] + 2, free.shape[1] + 2), np.inf)
+    cost[1:-1, 1:-1][free] = soft_cost(free, resolution_m)[free]
+    fields_m = np.full((len(goals), *free.shape), np.inf, np.float32)
+    steps = np.full(fields_m.shape, AT_GOAL, np.uint8)
+    _fill_soft_fields(cost, goals.astype(np.int64), resolution_m, fields_m, steps)
+    return fields_m, steps
+
+
+def soft_cost(free: NDArray[np.bool_], resolution_m: float) -> NDArray[np.float64]:
+    """[H, W] what a metre costs in each cell, from 1 to `WALL_COST`."""
+    clearance_m = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * resolution_m
+    nearness = np.clip(1.0 - (clearance_m - resolution_m) / WALL_MARGIN_M, 0.0, 1.0)
+    return np.asarray(1.0 + (WALL_COST - 1.0) * nearness)
+
+
+@njit(cache=True)
+def _fill_soft_fields(cost, goals, resolution_m, fields_m, steps):  # type: ignore[no-untyped-def]
+    """As `_fill_fields` with a step at the mean cost of its two cells; ``cost`` [H + 2, W + 2] is inf where blocked."""
+    width = cost.shape[1]
+    cell_cost = cost.ravel()
+    moves = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1])
+    backwards = np.array([1, 0, 3, 2, 7, 6, 5, 4])
+    buckets = int(DIAGONAL * WALL_COST) + 2
+    bucket = np.empty((buckets, len(moves) * cost.size), np.int32)
+    count = np.zeros(buckets, np.int64)
+    total, length = np.empty(cost.size, np.float64), np.empty(cost.size, np.float64)
+    step = np.empty(cost.size, np.uint8)
+    for index in range(len(goals)):
+        if goals[index, 0] < 0:
+            continue
+        total[:], length[:], step[:] = np.inf, np.inf, AT_GOAL
+        goal = (goals[index, 0] + 1) * width + goals[index, 1] + 1
+        total[goal], length[goal] = 0.0, 0.0
+        bucket[0, 0], count[0] = goal, 1
+        level = 0
+        while count.sum() > 0:
+            current = level % buckets
+            for entry in range(count[current]):
+                cell = bucket[current, entry]
+                if total[cell] < level:
+                    continue
+                for k in range(len(moves)):
+                    other = cell + moves[k]
+                    way = 1.0 if k < 4 else DIAGONAL
+                    through = total[cell] + way * 0.5 * (cell_cost[cell] + cell_cost[other])
+                    if through < total[other]:
+                        total[other], length[other], step[other] = through, length[cell] + way, backwards[k]
+                        place = int(through) % buckets
+                        bucket[place, count[place]] = other
+                        count[place] += 1
+            count[current] = 0
+            level += 1
+        for row in range(fields_m.shape[1]):
+            for col in range(fields_m.shape[2]):
+                cell = (row + 1) * width + col + 1
+                fields_m[index, row, col], steps[index, row, col] = length[cell] * resolution_m, step[cell]
+
+
+def follow(steps: NDArray[np.uint8], row: int, col: int) -> NDArray[np.int32]:
+    """[L, 2] the cells of the soft way from ``(row, col)`` to the goal of ``steps`` [H, W]."""
+    moves = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+    path = [(row, col)]
+    while (number := int(steps[row, col])) != AT_GOAL:
+        row, col = row + moves[number][0], col + moves[number][1]
+        path.append((row, col))
+    return np.array(path, np.int32)
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from shapely.geometry import LineString
 from skimage.draw import polygon as cells_inside
 
 from mrtask.homes.home import Home, Point, Polygon
-from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields
+from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields, follow, soft_fields
 
 DEFAULT_RESOLUTION_M = 0.05
 DEFAULT_ROBOT_RADIUS_M = 0.2
@@ -29,6 +29,8 @@ CORNER_SEGMENTS = 8
 DOOR_DEPTH_M = 0.05
 """Doors are carved this far to both sides of the wall's line, against rounding in their positions."""
 NO_ROOM = -1
+WAYS = ("shortest", "soft")
+"""How robots drive: by the shortest ways, or by ways that keep away from walls (`mrtask.maps.distance_fields`)."""
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -48,6 +50,8 @@ class HomeMap:
     """[C, 2] row and column from which each container is reached; -1, -1 where none is."""
     fields_m: NDArray[np.float32]
     """[C, H, W] path length to each container's access cell; inf where not free or not reachable."""
+    steps: NDArray[np.uint8] | None = None
+    """[C, H, W] the first step of each soft way, see `follow`; None for shortest ways."""
 
     @property
     def reachable(self) -> BoolArray:
@@ -71,9 +75,11 @@ class HomeMap:
         return column
 
     def path(self, cell: tuple[int, int], container: int) -> NDArray[np.int32]:
-        """[L, 2] the cells of a shortest path to a container's access cell, both ends included."""
+        """[L, 2] the cells of the way to a container's access cell, both ends included."""
         if not np.isfinite(self.fields_m[container, cell[0], cell[1]]):
             raise ValueError(f"no way from cell {cell} to container {container}; check `reachable` and `free` first")
+        if self.steps is not None:
+            return follow(self.steps[container], cell[0], cell[1])
         cells: NDArray[np.int32] = descend(self.fields_m[container], self.resolution_m, cell[0], cell[1])
         return cells
 
@@ -106,7 +112,10 @@ class _Grid:
 
 
 def build_map(
-    home: Home, resolution_m: float = DEFAULT_RESOLUTION_M, robot_radius_m: float = DEFAULT_ROBOT_RADIUS_M
+    home: Home,
+    resolution_m: float = DEFAULT_RESOLUTION_M,
+    robot_radius_m: float = DEFAULT_ROBOT_RADIUS_M,
+    ways: str = "shortest",
 ) -> HomeMap:
     """Rasterise a home for a round robot and compute all distance fields.
 
@@ -117,6 +126,8 @@ def build_map(
         raise ValueError(
             f"resolution_m > 0 and robot_radius_m >= 0 are needed, not {resolution_m} and {robot_radius_m}"
         )
+    if ways not in WAYS:
+        raise ValueError(f"ways must be one of {', '.join(WAYS)}, not {ways!r}")
     grid, room_of, open_cells = _rasterise(home, resolution_m, robot_radius_m)
     free = main_region(open_cells)
     room_numbers = {room.id: number for number, room in enumerate(home.rooms)}
@@ -124,6 +135,8 @@ def build_map(
     for index, container in enumerate(home.containers):
         own_room = room_numbers.get(container.room_id, NO_ROOM)
         access[index] = _access_cell(grid, free, room_of, container.footprint, own_room)
+    if ways == "soft":
+        return HomeMap(home.id, resolution_m, grid.origin_m, free, access, *soft_fields(free, access, resolution_m))
     fields_m = distance_fields(free, access, resolution_m)
     return HomeMap(home.id, resolution_m, grid.origin_m, free, access, fields_m)
 

@@ -24,6 +24,12 @@ def compiled(function: F) -> F:
     return cast(F, numba.njit(**options)(function))
 
 
+def compiled_apart(function: F) -> F:
+    """As `compiled`, but called rather than inlined: for what is long and seldom needed."""
+    options: dict[str, Any] = {"cache": True, "_nrt": False}
+    return cast(F, numba.njit(**options)(function))
+
+
 @compiled
 def random_unit(rng: NDArray[np.uint64]) -> float:
     """splitmix64 (Steele et al. 2014): uniform in [0, 1); the state ``rng`` [1] is advanced in place."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mrtask.planning import greedy_kernel as kernel
-from mrtask.planning.problem import Assignment, Plan, PlanningProblem
+from mrtask.planning.problem import REASSIGN, Assignment, Plan, PlanningProblem, check_choice
 from mrtask.planning.team import assignment_begun, root_world, team_model
 from mrtask.planning.team_kernel import NONE, Model, World
 
@@ -17,18 +17,19 @@ class Greedy:
 
     knows_contents = False
 
-    def __init__(self, later_weight: float = LATER_WEIGHT) -> None:
+    def __init__(self, later_weight: float = LATER_WEIGHT, reassign: str = "all") -> None:
         check_later_weight(later_weight)
-        self._later_weight = later_weight
+        check_choice("reassign", reassign, REASSIGN)
+        self._later_weight, self._reassign_all = later_weight, reassign == "all"
 
     def warm_up(self, problem: PlanningProblem) -> None:
         """Compiles the kernels: one plan."""
         self.plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Assigns all robots; the rule draws nothing, so ``seed`` does not matter."""
+        """See the class; the rule draws nothing, so ``seed`` does not matter."""
         model = team_model(problem)
-        root = root_world(problem, model, reassign_all=True)
+        root = root_world(problem, model, self._reassign_all)
         return Plan(assign_greedily(model, root, policy(problem, self._later_weight)))
 
 

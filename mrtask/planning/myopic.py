@@ -1,7 +1,11 @@
 """The two myopic baselines of the paper (section V): nearest, or likeliest, containers first.
 
 Both first send robots to containers known to hold an object that advances the task now, the nearest robot first, and
-split the others over unsearched containers with the least summed travel.
+split the others over unsearched containers with the least summed travel. The paper's team replans, so after something
+was learned robots under way are assigned anew from where they are, by the same rule (``reassign``).
+
+When to go back to a known container is ours; the authors' code does so only when everything found would complete the
+task (``return_to_known``), which makes weaker baselines.
 """
 
 from collections.abc import Callable
@@ -10,96 +14,129 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mrtask.planning.problem import (
+    REASSIGN,
     WAIT,
     Assignment,
     BoolArray,
     FloatArray,
     Plan,
     PlanningProblem,
+    check_choice,
     needed,
     safe,
 )
+from mrtask.tasks.automaton import NEVER_ACCEPTS
+
+RETURN_TO_KNOWN = ("at_once", "when_complete")
 
 Shortlist = Callable[[PlanningProblem, BoolArray, int], BoolArray]
-"""From a problem, the [C] containers open to search and the number of free robots: the [C] containers to divide."""
+"""From a problem, the [C] containers open to search and the number of robots: the [C] containers to divide."""
 
 
 class MyopicPlanner:
-    """A rule of the paper: ``shortlist`` says which unsearched containers the free robots divide among them."""
+    """A rule of the paper: ``shortlist`` says which unsearched containers the robots divide among them.
+
+    Args:
+        reassign: one of `REASSIGN`.
+        return_to_known: one of `RETURN_TO_KNOWN`: ``at_once``, or ``when_complete``: a robot is sent to a container
+            that was searched before only if all objects found so far would complete the task, and then nobody searches.
+
+    Raises:
+        ValueError: another value.
+    """
 
     knows_contents = False
 
-    def __init__(self, shortlist: Shortlist) -> None:
-        self._shortlist = shortlist
+    def __init__(self, shortlist: Shortlist, reassign: str, return_to_known: str) -> None:
+        check_choice("reassign", reassign, REASSIGN)
+        check_choice("return_to_known", return_to_known, RETURN_TO_KNOWN)
+        self._shortlist, self._reassign, self._when_complete = shortlist, reassign, return_to_known == "when_complete"
 
     def warm_up(self, problem: PlanningProblem) -> None:
         """Nothing is compiled."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """See the module; the rule draws nothing, so ``seed`` does not matter."""
-        assignments: dict[int, Assignment] = {}
-        free = {index for index, robot in enumerate(problem.robots) if robot.free}
+        deciding = problem.deciders(self._reassign)
         if problem.automaton.accepting[problem.state]:
-            return Plan({robot: Assignment(WAIT) for robot in sorted(free)})
-        targeted = {robot.target for robot in problem.robots if robot.target >= 0}
-        for robot, assignment in _interactions(problem, free):
-            if assignment.container not in targeted:
+            return Plan({robot: Assignment(WAIT) for robot in deciding})
+        complete = problem.automaton.steps_with(problem.found())[problem.state] < NEVER_ACCEPTS
+        stay, finish = self._when_complete and not complete, self._when_complete and bool(complete)
+        taken = _taken(problem, deciding)
+        assignments: dict[int, Assignment] = {}
+        for robot, assignment in _interactions(problem, deciding, only_here=stay, only_found=finish):
+            if assignment.container not in taken:
                 assignments[robot] = assignment
-                targeted.add(assignment.container)
-                free.discard(robot)
-        unsearched = ~problem.searched
-        unsearched[list(targeted)] = False
-        team = sorted(free)
-        if team:
-            travel_s = np.array([problem.robots[index].travel_s for index in team])
-            unsearched &= np.isfinite(travel_s).all(axis=0)
-            columns = np.flatnonzero(self._shortlist(problem, unsearched, len(team)))
-            for row, column in zip(*linear_sum_assignment(travel_s[:, columns]), strict=True):
-                assignments[team[row]] = Assignment(int(columns[column]))
-        for robot in free - assignments.keys():
-            assignments[robot] = Assignment(WAIT)
-        return Plan(assignments)
+                taken.add(assignment.container)
+        team = [robot for robot in deciding if robot not in assignments]
+        if team and not finish:
+            assignments |= self._searches(problem, team, taken)
+        return Plan({robot: assignments.get(robot, Assignment(WAIT)) for robot in deciding})
+
+    def _searches(self, problem: PlanningProblem, team: list[int], taken: set[int]) -> dict[int, Assignment]:
+        """Divides the shortlist among the robots, as far as it goes."""
+        travel_s = np.array([problem.robots[index].travel_s for index in team])
+        open_to_search = ~problem.searched & np.isfinite(travel_s).all(axis=0)
+        open_to_search[list(taken)] = False
+        columns = np.flatnonzero(self._shortlist(problem, open_to_search, len(team)))
+        pairs = zip(*linear_sum_assignment(travel_s[:, columns]), strict=True)
+        return {team[row]: Assignment(int(columns[column])) for row, column in pairs}
 
 
-def nonlearned_myopic() -> MyopicPlanner:
+def nonlearned_myopic(reassign: str = "all", return_to_known: str = "at_once") -> MyopicPlanner:
     """The nearest unsearched containers, whatever they may hold."""
-    return MyopicPlanner(lambda problem, unsearched, robots: unsearched)
+    return MyopicPlanner(lambda problem, open_to_search, robots: open_to_search, reassign, return_to_known)
 
 
-def learned_myopic() -> MyopicPlanner:
+def learned_myopic(reassign: str = "all", return_to_known: str = "at_once") -> MyopicPlanner:
     """The unsearched containers with the highest summed likelihood of the objects still needed and not yet found."""
-    return MyopicPlanner(_likeliest)
+    return MyopicPlanner(_likeliest, reassign, return_to_known)
 
 
-def _likeliest(problem: PlanningProblem, unsearched: BoolArray, robots: int) -> BoolArray:
+def _likeliest(problem: PlanningProblem, open_to_search: BoolArray, robots: int) -> BoolArray:
     wanted = needed(problem.automaton)[problem.state] & ~problem.found()
-    score: FloatArray = np.where(unsearched, problem.presence_prob @ wanted.astype(float), -np.inf)
-    chosen = np.zeros_like(unsearched)
+    score: FloatArray = np.where(open_to_search, problem.presence_prob @ wanted.astype(float), -np.inf)
+    chosen = np.zeros_like(open_to_search)
     chosen[np.argsort(-score, kind="stable")[:robots]] = True
-    return chosen & unsearched
+    return chosen & open_to_search
 
 
-def _interactions(problem: PlanningProblem, free: set[int]) -> list[tuple[int, Assignment]]:
-    """Free robots with a container known to hold an object that advances the task now, nearest first; all pairs.
+def _taken(problem: PlanningProblem, deciding: list[int]) -> set[int]:
+    """The containers that robots which keep their action go to or search at this moment."""
+    kept = [robot for index, robot in enumerate(problem.robots) if index not in deciding]
+    return {robot.target if robot.target >= 0 else robot.place for robot in kept if robot.interacting < 0}
 
-    An interaction that can hurt is asked for by name, and only where it brings acceptance nearer.
+
+def _interactions(
+    problem: PlanningProblem, deciding: list[int], *, only_here: bool, only_found: bool
+) -> list[tuple[int, Assignment]]:
+    """Robots with a container known to hold an object that advances the task now, nearest first, each robot once.
+
+    An interaction that can hurt is asked for by name, and only where it brings acceptance nearer: in the number of
+    interactions with objects that are found or may be found yet.
+
+    Args:
+        only_here: a robot is matched only with the container where it stands.
+        only_found: nothing more will be searched, so only objects found count.
     """
     automaton, state = problem.automaton, problem.state
-    after = automaton.steps_to_accept[automaton.transitions[state]]
-    harmless = safe(automaton)[state]
-    useful = automaton.advancing[state] & (harmless | (after < automaton.steps_to_accept[state]))
-    pairs: list[tuple[float, int, int, int]] = []
-    for obj in np.flatnonzero(useful):
-        if any(robot.interacting == obj for robot in problem.robots):
-            continue
-        for container in np.flatnonzero(problem.searched & (problem.presence_prob[:, obj] > 0)):
-            pairs += [(float(problem.robots[r].travel_s[container]), r, int(container), int(obj)) for r in sorted(free)]
-    taken: set[int] = set()
-    objects = {robot.interaction for robot in problem.robots if robot.target >= 0}
-    chosen: list[tuple[int, Assignment]] = []
-    for travel_s, index, place, wanted in sorted(pairs):
-        if index not in taken and wanted not in objects and np.isfinite(travel_s):
-            taken.add(index)
-            objects.add(wanted)
-            chosen.append((index, Assignment(place, wanted)))
-    return chosen
+    travel_s = np.array([robot.travel_s for robot in problem.robots])
+    more_to_find = not only_found and (~problem.searched & np.isfinite(travel_s).any(axis=0)).any()
+    steps = automaton.steps_with(problem.found() | more_to_find)
+    nearer = steps[automaton.transitions[state]] < steps[state]
+    useful = automaton.advancing[state] & (safe(automaton)[state] | nearer)
+    kept = [robot for index, robot in enumerate(problem.robots) if index not in deciding]
+    fetched = {robot.interacting for robot in kept} | {robot.interaction for robot in kept if robot.target >= 0}
+    pairs = sorted(
+        (float(travel_s[robot, container]), robot, int(container), int(obj))
+        for obj in np.flatnonzero(useful)
+        for container in np.flatnonzero(problem.searched & (problem.presence_prob[:, obj] > 0))
+        for robot in deciding
+        if np.isfinite(travel_s[robot, container]) and (not only_here or problem.robots[robot].place == container)
+    )
+    chosen: dict[int, Assignment] = {}
+    for _, robot, container, obj in pairs:
+        if robot not in chosen and obj not in fetched:
+            fetched.add(obj)
+            chosen[robot] = Assignment(container, obj)
+    return list(chosen.items())

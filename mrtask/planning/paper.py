@@ -1,41 +1,98 @@
 """`pouct_paper`: the planner of the paper. PO-UCT over actions <container, object> with Algorithm 1's outcomes.
 
-Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that may help;
-robots under way keep their action. A leaf is worth the time so far plus a lower bound on the rest. The paper does not
-say which; ours is what the rest would take on average if the contents were told and all objects fetched at once. (The
-bound that puts every object at its nearest possible container was tried first: it cannot tell likely from unlikely
-containers and led to costs no better than the non-learned baseline's.) The plan is the joint action of least mean cost.
+Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that make
+progress (`mrtask.planning.paper_action_kernel`); a leaf is worth the time so far plus a value of the rest. Wherever the
+paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are
+the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
+text's Algorithm 1, choice and free robots; the code's eight likeliest actions; and, ours, likelihoods that know that
+every object is somewhere.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, FloatArray, Plan, PlanInfo, PlanningProblem, needed
-from mrtask.planning.team import stuck_penalty_s
+from mrtask.planning import paper_leaf_kernel
+from mrtask.planning.paper_action_kernel import ActionLimits, ActionRules, first_action
+from mrtask.planning.paper_belief_kernel import WAIT as WAIT_ACTION
+from mrtask.planning.paper_belief_kernel import PaperBelief, PaperModel
+from mrtask.planning.paper_team import blank_belief, bound_of, paper_model, rollouts_of, root_belief
+from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem, safe
 from mrtask.planning.tree import (
+    MAX_SPREAD,
     NODES,
     NONE,
     SearchOptions,
     Tree,
     edges_of,
     empty_tree,
+    is_settled,
     mean_cost_s,
     root_statistics,
     run_search,
 )
-from mrtask.tasks.automaton import Automaton
 
-MAX_OBJECTS = 30
-MAX_SETS = 4096
-MIN_PROB = 1e-6
-"""Likelihood of an object in each container open to search where the given ones say that it is nowhere."""
+BOUNDS = {
+    "zero": paper_leaf_kernel.ZERO,
+    "nearest": paper_leaf_kernel.NEAREST,
+    "revealed": paper_leaf_kernel.REVEALED,
+}
+GREEDY = "greedy"
 
 
+@dataclass(frozen=True)
 class PaperOptions(SearchOptions):
-    """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration."""
+    """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration.
+
+    "The text" is the paper (arXiv 2603.20544), "the code" its authors' public development code (RAIL-lsp-dev, branch
+    abhish/mr-task, May 2025), which is older than the text. The code's setting of each switch is named.
+    """
+
+    leaf: str = "revealed"
+    """What is left to do is worth at a leaf: ``zero``, nothing (the code); ``nearest``, a lower bound on the time, with
+    every object at the nearest container that may hold it (a reading of the text's "heuristic cost providing a lower
+    bound"); ``revealed``, the mean time if the contents were told now and all objects were fetched at once (ours);
+    ``greedy``, the time that the policy `greedy` takes in a world drawn from the belief (`pouct`'s)."""
+    exploration_unit: str = "spread"
+    """What ``exploration``, UCB1's constant, counts: ``spread``, standard deviations of the cost at the root (ours), or
+    ``seconds``. The code's 10 grid cells of 0.05 m are 0.5 s at 1 m/s; the text does not say."""
+    choice: str = "mean"
+    """The joint action taken: ``mean``, the edges of least mean cost (the text); ``visits``, the most visited ones (the
+    code), of equals the one of least cost."""
+    max_actions: int | None = 8
+    """Only so many actions of a robot, those of the highest P_S, stay at a node (the code: 8); an object known to be
+    there counts as 1. null: all, as the text has it."""
+    avoid_targets: bool = False
+    """In a team with at least as many actions as robots, containers that other robots head for are left to them (the
+    code), unless nothing else is left."""
+    advance_when_alone: bool = False
+    """A robot whose team all waits has only actions that advance the task (the code), unless there are none."""
+    round_decimals: int | None = None
+    """P_S is rounded to so many decimals; null: not (the text). The code: 2. What is possible stays possible."""
+    exists: bool = True
+    """P_S is conditioned on every object being somewhere: an object not located is in container k with probability
+    p_k / (1 - prod(1 - p)), over the containers where it may still be. The text says no more than that tasks are about
+    objects that are there; the code does not condition."""
+    reassign: str = "free"
+    """``free``: only free robots decide (Algorithm 1 as it stands); ``all``: after news those under way do too (the
+    code assigns everybody anew at each reveal)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, allowed in (
+            ("leaf", (*BOUNDS, GREEDY)),
+            ("exploration_unit", ("spread", "seconds")),
+            ("choice", ("mean", "visits")),
+            ("reassign", ("free", "all")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}")
+        if self.max_actions is not None and self.max_actions < 1:
+            raise ValueError(f"max_actions must be at least 1 or null, not {self.max_actions}")
+        if self.round_decimals is not None and self.round_decimals < 0:
+            raise ValueError(f"round_decimals must be >= 0 or null, not {self.round_decimals}")
 
 
 class PaperPouct:
@@ -60,164 +117,133 @@ class PaperPouct:
         free = [index for index, robot in enumerate(problem.robots) if robot.free]
         if problem.automaton.accepting[problem.state] or not free:
             return Plan({index: Assignment(WAIT) for index in free})
-        options = self.options
-        model, root = paper_model(problem), root_belief(problem)
-        belief = blank_belief(problem)
-        tree = empty_tree(options)
-        kernel.decision_node(root, tree, NONE)
-        rng = np.array([seed], dtype=np.uint64)
-        containers, objects = model.prob.shape
-        scratch = kernel.Scratch(np.empty(containers), np.empty(containers, dtype=np.int32), np.empty(objects))
-        done = run_search(
-            options,
-            run=lambda count: kernel.run_samples(model, root, belief, tree, options.exploration, rng, count, scratch),
-        )
+        search = PaperSearch(problem, self.options, seed)
+        choose = _Choice(problem, search, self.options.choice)
+        done = run_search(self.options, search.run, choose.is_settled)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
-            tree_nodes=int(tree.size[NODES]),
-            value_s=mean_cost_s(tree, _cheapest(tree, 0)),
-            root=root_statistics(tree, lambda action: _assignment(action, objects)),
+            tree_nodes=int(search.tree.size[NODES]),
+            value_s=mean_cost_s(search.tree, choose.edge(0)),
+            root=root_statistics(search.tree, choose.assignment),
         )
-        return Plan(_joint_action(problem, tree, free), info)
+        return Plan(_joint_action(problem, search, choose), info)
 
 
-def paper_model(problem: PlanningProblem) -> kernel.PaperModel:
-    """What does not change while planning, in the kernel's terms.
+class PaperSearch:
+    """The arrays of one search: the model, the root's belief and the tree, which `run` grows."""
 
-    Raises:
-        ValueError: more task objects than the kernel's bit masks hold.
-    """
-    objects = problem.presence_prob.shape[1]
-    if objects > MAX_OBJECTS:
-        raise ValueError(f"pouct_paper handles tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
-    automaton = problem.automaton
-    bits = 1 << np.arange(objects)
-    away_s = np.array([robot.travel_s for robot in problem.robots])
-    return kernel.PaperModel(
-        travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
-        away_s=away_s,
-        prob=_search_prob(problem),
-        transitions=automaton.transitions.astype(np.int32),
-        accepting=automaton.accepting.astype(np.uint8),
-        advancing=(automaton.advancing * bits).sum(axis=1).astype(np.int64),
-        needed=(needed(automaton) * bits).sum(axis=1).astype(np.int64),
-        sufficient=sufficient_sets(automaton),
-        search_time_s=float(problem.search_time_s),
-        interact_time_s=float(problem.interact_time_s),
-        penalty_s=stuck_penalty_s(problem),
+    def __init__(self, problem: PlanningProblem, options: PaperOptions, seed: int) -> None:
+        self.model: PaperModel = paper_model(
+            problem, exists=options.exists, redirect=options.reassign == "all", round_decimals=options.round_decimals
+        )
+        self.root: PaperBelief = root_belief(problem, self.model)
+        self.tree: Tree = empty_tree(options)
+        self.rules = ActionRules(
+            self.model.prob.size if options.max_actions is None else options.max_actions,
+            options.avoid_targets,
+            options.advance_when_alone,
+        )
+        self.limits = action_limits(self.rules, len(self.tree.visits))
+        self._exploration = kernel.Exploration(options.exploration, options.exploration_unit == "spread")
+        self.bound = bound_of(problem, BOUNDS.get(options.leaf, paper_leaf_kernel.ZERO))
+        self.rollouts = rollouts_of(problem) if options.leaf == GREEDY else None
+        self._belief = blank_belief(problem)
+        self._rng = np.array([seed], dtype=np.uint64)
+        kernel.decision_node(self.root, self.tree, NONE)
+
+    def run(self, samples: int) -> None:
+        """Runs so many samples."""
+        kernel.run_samples(
+            self.model,
+            self.root,
+            self._belief,
+            self.tree,
+            self.rules,
+            self.limits,
+            self._exploration,
+            self.bound,
+            self.rollouts,
+            self._rng,
+            samples,
+        )
+
+
+def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
+    """Work space of the rules, for trees of so many nodes."""
+    return ActionLimits(
+        advancing_only=np.zeros(nodes, dtype=np.uint8),
+        free_only=np.zeros(nodes, dtype=np.uint8),
+        least_prob=np.empty(nodes),
+        last_tie=np.empty(nodes, dtype=np.int32),
+        ranked_prob=np.empty(rules.max_actions),
+        ranked=np.empty(rules.max_actions, dtype=np.int32),
     )
 
 
-def root_belief(problem: PlanningProblem) -> kernel.PaperBelief:
-    """What the team knows and does now, in the kernel's terms."""
-    bits = 1 << np.arange(problem.presence_prob.shape[1])
-    known = np.where(problem.presence_prob > 0, kernel.PRESENT, kernel.ABSENT)
-    known[~problem.searched] = kernel.UNKNOWN
-    root = blank_belief(problem)
-    root.known[:] = known
-    root.searched[:] = problem.searched
-    root.state[kernel.AUTOMATON] = problem.state
-    root.state[kernel.LOCATED] = (problem.found() * bits).sum()
-    for index, robot in enumerate(problem.robots):
-        root.place[index] = robot.place
-        if robot.free:
-            root.undecided[index] = 1
-        elif robot.target >= 0:
-            searching_s = 0.0 if problem.searched[robot.target] else problem.search_time_s
-            _put(root, index, robot.target, robot.interaction, robot.remaining_s + searching_s, problem)
-        elif robot.interacting >= 0:
-            _put(root, index, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
-        else:
-            _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
-    return root
+class _Choice:
+    """Which edge of a node is taken.
 
-
-def _search_prob(problem: PlanningProblem) -> FloatArray:
-    """[C, O] the likelihoods in unsearched containers. An object with none above 0 is looked for all the same."""
-    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
-    unsearched = ~problem.searched & reachable
-    prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
-    nowhere = ~problem.found() & (prob == 0.0).all(axis=0)
-    return np.where(unsearched[:, None] & nowhere, MIN_PROB, prob)
-
-
-def sufficient_sets(automaton: Automaton) -> kernel.I8:
-    """[Z, S] for each state the minimal sets of objects (bit masks) along which advancing steps accept; padded by -1.
-
-    Raises:
-        ValueError: more than `MAX_SETS` minimal sets for one state.
+    An interaction that can hurt (see `safe`) gives way to a harmless action that costs no more, as far as the samples
+    can tell: the means lie within their standard errors.
     """
-    sets: list[set[int]] = [{0} if accepting else set() for accepting in automaton.accepting]
-    changed = True
-    while changed:
-        changed = False
-        for state, advancing in enumerate(automaton.advancing):
-            grown = set(sets[state])
-            for obj in np.flatnonzero(advancing):
-                grown |= {members | (1 << int(obj)) for members in sets[automaton.transitions[state, obj]]}
-            minimal = {one for one in grown if not any(other != one and other & one == other for other in grown)}
-            if len(minimal) > MAX_SETS:
-                raise ValueError(f"more than {MAX_SETS} ways to complete the task; simplify the formula")
-            if minimal != sets[state]:
-                sets[state], changed = minimal, True
-    table = np.full((len(sets), max(1, *map(len, sets))), NONE, dtype=np.int64)
-    for state, members in enumerate(sets):
-        table[state, : len(members)] = sorted(members)
-    return table
+
+    def __init__(self, problem: PlanningProblem, search: PaperSearch, choice: str) -> None:
+        self._tree, self._by_visits = search.tree, choice == "visits"
+        self._deciders = int(search.root.undecided.sum())
+        self._objects = problem.presence_prob.shape[1]
+        self._can_hurt = (problem.automaton.advancing & ~safe(problem.automaton))[problem.state]
+
+    def edge(self, node: int, allow_wait: bool = True) -> int:
+        """The edge taken, NONE if there is none; ``allow_wait``: waiting is one."""
+        tree = self._tree
+        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.action[edge] != WAIT_ACTION]
+        best = min(edges, key=self._rank, default=NONE)
+        if best == NONE or not self._hurts(best):
+            return best
+        harmless = min((edge for edge in edges if not self._hurts(edge)), key=self._rank, default=NONE)
+        if harmless == NONE:
+            return best
+        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edge_visits[[best, harmless]] ** -0.5))
+        return harmless if mean_cost_s(tree, harmless) <= mean_cost_s(tree, best) + error_s else best
+
+    def assignment(self, action: int) -> Assignment:
+        """What an action of the tree means."""
+        return Assignment(WAIT, 0) if action == WAIT_ACTION else Assignment(*divmod(action, self._objects))
+
+    def is_settled(self, samples_left: int) -> bool:
+        """Whether the choice stays as it is, wherever the samples left go: by visits only, if no action can hurt."""
+        return self._by_visits and not self._can_hurt.any() and is_settled(self._tree, self._deciders, samples_left)
+
+    def _rank(self, edge: int) -> tuple[float, float]:
+        visits = int(self._tree.edge_visits[edge])
+        return (-visits if self._by_visits else 0, mean_cost_s(self._tree, edge))
+
+    def _hurts(self, edge: int) -> bool:
+        action = int(self._tree.action[edge])
+        return action != WAIT_ACTION and bool(self._can_hurt[action % self._objects])
 
 
-def _put(root: kernel.PaperBelief, robot: int, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
-    """Sets a robot's action under way; one that names no object (not this planner's) is taken for the first needed."""
-    root.place[robot] = place
-    root.obj[robot] = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
-    root.arrive_s[robot] = arrive_s
-    root.done_s[robot] = arrive_s + problem.interact_time_s
+def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice) -> dict[int, Assignment]:
+    """Follows the chosen edges through the robots that decide; free ones that the tree did not reach wait.
 
-
-def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
-    """A belief of the problem's size, to be overwritten."""
-    (containers, objects), robots = problem.presence_prob.shape, len(problem.robots)
-    return kernel.PaperBelief(
-        clock=np.zeros(1),
-        state=np.zeros(2, dtype=np.int64),
-        known=np.zeros((containers, objects), dtype=np.uint8),
-        searched=np.zeros(containers, dtype=np.uint8),
-        place=np.full(robots, NONE, dtype=np.int32),
-        obj=np.full(robots, NONE, dtype=np.int32),
-        arrive_s=np.zeros(robots),
-        done_s=np.zeros(robots),
-        undecided=np.zeros(robots, dtype=np.uint8),
-    )
-
-
-def _cheapest(tree: Tree, node: int, allow_wait: bool = True) -> int:
-    """The edge of least mean cost, NONE if there is no such edge."""
-    edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.action[edge] != kernel.WAIT]
-    return min(edges, key=lambda edge: mean_cost_s(tree, edge), default=NONE)
-
-
-def _joint_action(problem: PlanningProblem, tree: Tree, free: list[int]) -> dict[int, Assignment]:
-    """Follows the edges of least mean cost through the free robots; robots the tree did not reach wait.
-
-    Somebody acts if anybody can: where the whole team would wait, the first robot takes its cheapest other action.
+    Somebody acts if anybody can: where the whole team would wait, the first robot takes its best other action.
     """
-    objects = problem.presence_prob.shape[1]
-    assignments = {index: Assignment(WAIT, 0) for index in free}
-    under_way = len(free) < len(problem.robots)
+    tree = search.tree
+    assignments = {index: Assignment(WAIT, 0) for index, robot in enumerate(problem.robots) if robot.free}
+    deciders = [int(robot) for robot in np.flatnonzero(search.root.undecided)]
     node = 0
-    for _ in free:
-        edge = _cheapest(tree, node) if node != NONE else NONE
+    for _ in deciders:
+        edge = choose.edge(node) if node != NONE else NONE
         if edge == NONE:
             break
-        action = int(tree.action[edge])
-        assignments[int(tree.robot[node])] = _assignment(action, objects)
+        assignments[int(tree.robot[node])] = choose.assignment(int(tree.action[edge]))
         node = int(tree.first_child[edge])
-    edge = _cheapest(tree, 0, allow_wait=False)
-    if edge != NONE and not under_way and all(chosen.container == WAIT for chosen in assignments.values()):
-        assignments[int(tree.robot[0])] = _assignment(int(tree.action[edge]), objects)
+    resting = [index for index, chosen in assignments.items() if chosen.container == WAIT]
+    if len(resting) == len(problem.robots):
+        edge = choose.edge(0, allow_wait=False)
+        robots = [(int(tree.robot[0]), int(tree.action[edge]))] if edge != NONE else []
+        robots += [(robot, first_action(search.model, search.root, robot)) for robot in deciders]
+        robot, action = next((pair for pair in robots if pair[1] != NONE), (deciders[0], WAIT_ACTION))
+        assignments[robot] = choose.assignment(action)
     return assignments
-
-
-def _assignment(action: int, objects: int) -> Assignment:
-    return Assignment(WAIT, 0) if action == kernel.WAIT else Assignment(*divmod(action, objects))

@@ -24,7 +24,7 @@ import numpy as np
 from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
-from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem
+from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
 from mrtask.planning.team import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.tree import (
@@ -32,9 +32,10 @@ from mrtask.planning.tree import (
     NONE,
     SearchOptions,
     Tree,
-    edges_of,
     empty_tree,
+    is_settled,
     mean_cost_s,
+    most_visited,
     root_statistics,
     run_search,
 )
@@ -63,8 +64,7 @@ class PouctOptions(SearchOptions):
         if self.widening_factor <= 0:
             raise ValueError(f"widening_factor must be > 0, not {self.widening_factor}")
         check_later_weight(self.later_weight)
-        if self.reassign not in ("all", "free"):
-            raise ValueError(f"reassign must be 'all' or 'free', not {self.reassign!r}")
+        check_choice("reassign", self.reassign, REASSIGN)
 
 
 class Pouct:
@@ -99,9 +99,9 @@ class Pouct:
         done = run_search(
             options,
             run=lambda count: kernel.run_samples(model, root, world, tree, greedy, search, rng, count),
-            is_settled=lambda samples_left: _is_settled(tree, deciders, samples_left),
+            is_settled=lambda samples_left: is_settled(tree, deciders, samples_left),
         )
-        best = _most_visited(tree, 0)
+        best = most_visited(tree, 0)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
@@ -126,13 +126,6 @@ def _assignment(model: Model, root: World, robot: int, action: int) -> Assignmen
     return Assignment(nearest_holding(model, root, robot, action - containers), action - containers)
 
 
-def _most_visited(tree: Tree, node: int) -> int:
-    """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
-    return min(
-        edges_of(tree, node), key=lambda edge: (-int(tree.edge_visits[edge]), mean_cost_s(tree, edge)), default=NONE
-    )
-
-
 def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -> dict[int, Assignment]:
     """Follows the most visited edges through the robots to be decided now; greedy where the tree ends before them.
 
@@ -140,22 +133,9 @@ def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -
     """
     assignments: dict[int, Assignment] = {}
     node = 0
-    while node != NONE and root.undecided.any() and (edge := _most_visited(tree, node)) != NONE:
+    while node != NONE and root.undecided.any() and (edge := most_visited(tree, node)) != NONE:
         robot = int(tree.robot[node])
         act(model, root, robot, int(tree.action[edge]))
         assignments[robot] = assignment_begun(root, robot)
         node = int(tree.first_child[edge])
     return assignments | assign_greedily(model, root, greedy)
-
-
-def _is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
-    """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
-    node = 0
-    for _ in range(deciders):
-        visits = [*sorted((int(tree.edge_visits[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
-        if visits[0] - visits[1] <= samples_left:
-            return False
-        node = int(tree.first_child[_most_visited(tree, node)])
-        if node == NONE:
-            break
-    return True

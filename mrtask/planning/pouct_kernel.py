@@ -24,7 +24,19 @@ from mrtask.planning.team_kernel import (
     copy_world,
     may_wait,
 )
-from mrtask.planning.tree import EDGES, NODES, NONE, Tree, add_edge, add_node, attach, back_up, child_of, least_bound
+from mrtask.planning.tree import (
+    EDGES,
+    NODES,
+    NONE,
+    Tree,
+    add_edge,
+    add_node,
+    attach,
+    back_up,
+    child_of,
+    least_bound,
+    spread_s,
+)
 
 U8 = NDArray[np.uint64]
 
@@ -88,7 +100,7 @@ def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search
         edge = _widen(model, world, tree, greedy, node)
         if edge != NONE:
             return edge
-    return least_bound(tree, node, search.exploration)
+    return least_bound(tree, node, search.exploration * spread_s(tree))
 
 
 @compiled

@@ -23,6 +23,9 @@ WAIT = -1
 ANY_SAFE = -1
 """The interaction of an assignment under which the robot makes every interaction that cannot hurt, see `safe`."""
 
+REASSIGN = ("all", "free")
+"""Who decides after something was learned or done: robots under way too, or the free robots alone."""
+
 
 class Assignment(NamedTuple):
     """One robot's action: go to ``container`` (or `WAIT`), search it if nobody has, then interact there.
@@ -98,6 +101,11 @@ class PlanningProblem:
         """Whether the object is known to be in the container."""
         return bool(self.searched[container]) and self.presence_prob[container, obj] > 0
 
+    def deciders(self, reassign: str) -> list[int]:
+        """The robots that a planner may assign: the free ones and, for ``all``, those that may be redirected now."""
+        redirect = reassign == "all" and self.may_redirect
+        return [index for index, robot in enumerate(self.robots) if robot.free or (redirect and robot.target >= 0)]
+
     def found(self) -> BoolArray:
         """[O] whether some container is known to hold the object."""
         known = (self.presence_prob > 0) & self.searched[:, None]
@@ -125,6 +133,12 @@ class Plan:
 
     assignments: dict[int, Assignment]
     info: PlanInfo = field(default_factory=PlanInfo)
+
+
+def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Raises ValueError unless an option has one of its values."""
+    if value not in allowed:
+        raise ValueError(f"{name} must be {' or '.join(map(repr, allowed))}, not {value!r}")
 
 
 @runtime_checkable

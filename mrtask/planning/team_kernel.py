@@ -26,6 +26,9 @@ NONE = -1
 SAME_INSTANT_S = 1e-9
 AUTOMATON, FOUND, HISTORY, NEWS = 0, 1, 2, 3
 """Indices of `World.state`."""
+HISTORY_FACTOR = 0x9E3779B97F4A7C15 - 2**64
+"""2**64 over the golden ratio. Its multiples by numbers below 2**31 are more than 2**31 apart, so that no two histories
+of up to two reveals meet in 64 bits, and longer ones do with negligible probability."""
 
 
 class Model(NamedTuple):
@@ -146,6 +149,12 @@ def act(model: Model, world: World, r: int, action: int) -> None:
 
 
 @compiled
+def history_after(history: int, held: int, c: int, containers: int) -> int:
+    """The hash of a history and the reveal of what a container holds."""
+    return (history + held * containers + c + 1) * HISTORY_FACTOR
+
+
+@compiled
 def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
     """Draws what a container holds, given all that was seen and that every object still needed exists somewhere."""
     z, found = world.state[AUTOMATON], world.state[FOUND]
@@ -162,7 +171,7 @@ def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
     if held & ~found:
         world.state[NEWS] = 1
     world.state[FOUND] = found | held
-    world.state[HISTORY] = (world.state[HISTORY] * 31 + 1) * 1048583 + (held + 1) * 64 + c
+    world.state[HISTORY] = history_after(world.state[HISTORY], held, c, world.searched.size)
 
 
 @compiled

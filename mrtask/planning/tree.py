@@ -26,6 +26,8 @@ I8 = NDArray[np.int64]
 NONE = -1
 NODES, EDGES = 0, 1
 """Indices of `Tree.size`."""
+EDGE_MEAN, EDGE_WIDTH = 0, 1
+"""Columns of `Tree.bound`: an edge's mean cost, and 1 / sqrt(visits)."""
 COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
 """Indices of `Tree.moments`: Welford's running sums, and the largest standard deviation so far."""
 MAX_PATH = 4096
@@ -73,6 +75,7 @@ class Tree(NamedTuple):
     edge_visits: I4  # [M] samples through an edge
     total_s: F8  # [M] their summed costs
     squares: F8  # [M] their summed squared costs
+    bound: F8  # [M, 2] what UCB1 needs of them, kept so that no root or quotient is taken at each look
     path: I4  # [MAX_PATH] edges of the sample under way
     moments: F8  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
@@ -98,6 +101,7 @@ def empty_tree(options: SearchOptions) -> Tree:
         edge_visits=integers(),
         total_s=np.empty(nodes),
         squares=np.empty(nodes),
+        bound=np.empty((nodes, 2)),
         path=np.empty(MAX_PATH, dtype=np.int32),
         moments=np.zeros(4),
     )
@@ -168,19 +172,23 @@ def attach(tree: Tree, edge: int, node: int) -> None:
 
 
 @compiled
-def least_bound(tree: Tree, node: int, exploration: float) -> int:
-    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge.
+def spread_s(tree: Tree) -> float:
+    """The scale of costs, for UCB1's constant: their largest standard deviation so far.
 
-    The scale of costs is their largest standard deviation so far. The present one would fall while the search settles
-    on one action, faster than the logarithm grows, and end exploration for good.
+    The present one would fall while the search settles on one action, faster than the logarithm grows, and end
+    exploration for good.
     """
-    spread_s = tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
-    log_visits = np.log(tree.visits[node] + 1.0)
+    return tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
+
+
+@compiled
+def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
+    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
+    radius_s = exploration_s * np.sqrt(np.log(tree.visits[node] + 1.0))
     best, best_bound = NONE, np.inf
     edge = tree.first_edge[node]
     while edge != NONE:
-        visits = tree.edge_visits[edge]
-        bound = tree.total_s[edge] / visits - exploration * spread_s * np.sqrt(log_visits / visits)
+        bound = tree.bound[edge, EDGE_MEAN] - radius_s * tree.bound[edge, EDGE_WIDTH]
         if bound < best_bound:
             best, best_bound = edge, bound
         edge = tree.next_edge[edge]
@@ -201,6 +209,9 @@ def back_up(tree: Tree, depth: int, cost_s: float) -> None:
         tree.edge_visits[edge] += 1
         tree.total_s[edge] += cost_s
         tree.squares[edge] += cost_s * cost_s
+        visits = float(tree.edge_visits[edge])
+        tree.bound[edge, EDGE_MEAN] = tree.total_s[edge] / visits
+        tree.bound[edge, EDGE_WIDTH] = 1.0 / np.sqrt(visits)
 
 
 def edges_of(tree: Tree, node: int) -> list[int]:
@@ -215,6 +226,26 @@ def edges_of(tree: Tree, node: int) -> list[int]:
 def mean_cost_s(tree: Tree, edge: int) -> float:
     """The mean cost of the samples through an edge."""
     return float(tree.total_s[edge] / tree.edge_visits[edge])
+
+
+def most_visited(tree: Tree, node: int) -> int:
+    """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
+    return min(
+        edges_of(tree, node), key=lambda edge: (-int(tree.edge_visits[edge]), mean_cost_s(tree, edge)), default=NONE
+    )
+
+
+def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
+    """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
+    node = 0
+    for _ in range(deciders):
+        visits = [*sorted((int(tree.edge_visits[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
+        if visits[0] - visits[1] <= samples_left:
+            return False
+        node = int(tree.first_child[most_visited(tree, node)])
+        if node == NONE:
+            break
+    return True
 
 
 def root_statistics(

@@ -56,6 +56,10 @@ class Automaton:
         """``[Z]``: the least number of letters to an accepting state, ``NEVER_ACCEPTS`` for the sink."""
         return _steps_to_accept(self.transitions, self.accepting)
 
+    def steps_with(self, available: BoolArray) -> IntArray:
+        """``[Z]``: as ``steps_to_accept``, with letters of the ``available`` ``[O]`` propositions alone."""
+        return _steps_to_accept(self.transitions[:, available], self.accepting)
+
     @cached_property
     def includes(self) -> BoolArray:
         """``[Z, Z]``: ``includes[a, b]`` when all that finishes the task from ``b`` also finishes it from ``a``."""

@@ -1,4 +1,9 @@
-"""The six task templates of the paper (Section V), as co-safe formulas over distinct objects ``a`` to ``d``."""
+"""Task templates as co-safe formulas over distinct objects ``a`` to ``d``: the paper's six (Section V) and a few more.
+
+The authors' public code has nine formulas instead of the six: `AUTHORS_TEMPLATES`. One of them orders three objects
+without saying that c must not come before a; as b must not come before a nor c before b, it is `seq3` all the same.
+The four-object conjunction is also in a figure of the paper.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,8 +37,15 @@ TEMPLATES = {
             4,
             "(((!{c} & !{d}) U {a}) | ((!{c} & !{d}) U {b})) & (!{d} U {c}) & F {d}",
         ),
+        Template("one", "a", 1, "F {a}"),
+        Template("or2", "a or b", 2, "F {a} | F {b}"),
+        Template("seq2_back", "b then a", 2, "(!{a} U {b}) & F {a}"),
+        Template("and4", "a, b, c and d", 4, "F {a} & F {b} & F {c} & F {d}"),
     )
 }
+
+PAPER_TEMPLATES = ("and2", "and3", "and_or", "seq2", "seq3", "or_seq")
+AUTHORS_TEMPLATES = ("one", "and2", "or2", "seq2", "seq2_back", "and3", "seq3", "and4", "or_seq")
 
 
 def make_formula(template: str, objects: Sequence[str]) -> str:

@@ -30,6 +30,7 @@ from pipeline.base import interrupt
 from pipeline.base.config import Cluster
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
+FORMULA_KEY = "evaluation.formula"
 USER_ERROR_EXIT = 2
 
 
@@ -92,7 +93,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
 def _prepare_process(module_name: str) -> None:
     # Exceptions come to `main` instead of Hydra's own printing.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    sys.argv = ["dry_run=true" if argument == "--dry-run" else argument for argument in sys.argv]
+    sys.argv = [_for_hydra(argument) for argument in sys.argv]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
     module = importlib.import_module(module_name)
@@ -105,6 +106,17 @@ def _prepare_process(module_name: str) -> None:
     ):
         OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
     OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
+
+
+def _for_hydra(argument: str) -> str:
+    """An argument as Hydra's grammar has it: formulas in quotes, which the shell has taken away."""
+    if argument == "--dry-run":
+        return "dry_run=true"
+    key, equals, text = argument.partition("=")
+    if key.lstrip("+") != FORMULA_KEY or not equals or text == "null" or text.startswith(("'", '"')):
+        return argument
+    # A comma is no part of a formula: it separates those of a sweep.
+    return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
 
 
 def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:

@@ -73,6 +73,8 @@ REQUIREMENTS = (
 _DESCRIPTION = "P(object is in container) from the names of object, container type and room type"
 _MODEL_FOLDER, _HOMES_FILE = "model", "training_homes.json"
 _SQLITE = "sqlite:///"
+_NOT_THE_LIBRARY = ("__pycache__", "*.nbi", "*.nbc", "pipeline", "conf", "suite")
+"""Kept out of the library's copy beside a model; where a wheel was installed, the stages are inside the library."""
 _LOCK_TIMEOUT_S = 600.0
 _DIGEST_LENGTH = 36
 _PARAM_LENGTH = 6000
@@ -312,7 +314,7 @@ def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:
         trained.model.save(folder)
         homes.write_text(json.dumps([*dataset.manifest.split["train"], *dataset.manifest.split["validation"]]))
         package = Path(mrtask.__file__).parent
-        shutil.copytree(package, code, ignore=shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc"))
+        shutil.copytree(package, code, ignore=shutil.ignore_patterns(*_NOT_THE_LIBRARY))
         return mlflow.pyfunc.log_model(
             name="model",
             python_model=str(Path(__file__).with_name("likelihood_pyfunc.py")),

@@ -7,7 +7,7 @@ starts. Defaults live in ``conf/`` alone. Relative paths are relative to the cal
 import difflib
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -25,11 +25,12 @@ from pydantic import (
 )
 
 from mrtask.errors import InputError
-from mrtask.planning.planners import make_planner
+from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.tasks.templates import TEMPLATES
 
 Positive = Annotated[int, Field(ge=1)]
 SizeClass = Literal["small", "medium", "large"]
+_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class UserError(InputError):
@@ -64,6 +65,7 @@ class _Section(BaseModel):
 
 
 class _Homes(_Section):
+    contents: Literal["procthor", "housekeep"]
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -118,7 +120,7 @@ class RosMapHomes(_Homes):
 
     def to_learn_from(self) -> GeneratedHomes:
         """The generated homes that the model learns from."""
-        shared = self.model_dump(include={"seed", "train", "validation", "test"})
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
         return GeneratedHomes(source="generated", **shared)
 
 
@@ -127,11 +129,25 @@ Homes = GeneratedHomes | HousesInFiles | RosMapHomes
 HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
 
 
+class Contents(_Section):
+    """How contents are drawn with ``homes.contents=housekeep``."""
+
+    file: LocalPath | None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    objects: Literal["all", "train", "val", "test"]
+    splits: LocalPath | None
+    table: LocalPath | None
+    misplaced: float = Field(ge=0, le=1)
+    seed: int = Field(ge=0)
+    embedding: str = Field(min_length=1)
+
+
 class Map(_Section):
     """The occupancy grid."""
 
     resolution_m: float = Field(gt=0, le=1)
     robot_radius_m: float = Field(ge=0, le=2)
+    ways: Literal["shortest", "soft"]
 
 
 ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
@@ -193,6 +209,16 @@ class EvaluationHomes(_Section):
     files: Annotated[tuple[LocalPath, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
     assets: LocalPath | None
     skip_faulty: bool
+    order: Literal["shuffled", "file"]
+
+
+class Belief(_Section):
+    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+
+    adapt: bool
+    kind_sd: float = Field(ge=0)
+    object_sd: float = Field(ge=0)
+    forget: _Share
 
 
 class Evaluation(_Section):
@@ -204,11 +230,15 @@ class Evaluation(_Section):
     ]
     robots: Annotated[tuple[Positive, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     trials_per_cell: Positive
+    tasks_per_home: Positive
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
+    formula_file: LocalPath | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
+    unsearched_share: tuple[_Share, _Share]
+    cost: Literal["makespan", "least_motion"]
     homes: EvaluationHomes
     model_uri: str = Field(pattern="^(models|runs):/")
     episode_timeout_s: float = Field(gt=0)
@@ -223,12 +253,62 @@ class Evaluation(_Section):
             raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
         return names
 
+    @field_validator("unsearched_share")
+    @classmethod
+    def _least_first(cls, share: tuple[float, float]) -> tuple[float, float]:
+        if share[0] > share[1]:
+            raise ValueError("give the least share first, the greatest second")
+        return share
+
+
+class PlannerVariant(_Section):
+    """A planner under another name: with some of its options changed, beside itself on the same trials."""
+
+    planner: str = Field(min_length=1)
+    options: dict[str, Any]
+
 
 class Realism(_Section):
     """How generated homes are compared with real ones."""
 
     generated_test: Positive
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
+TrainedOn = Literal["human", "homes", "both"]
+
+
+class Housekeep(_Section):
+    """Which models are measured on the votes of people, and what each is trained on."""
+
+    models: Annotated[tuple[ModelKind, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trained_on: Annotated[
+        tuple[TrainedOn, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+
+
+class Arm(_Section):
+    """A named change of the configuration: ``key=value`` as on the command line."""
+
+    name: str = Field(min_length=1)
+    overrides: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1)]
+
+
+class Ablation(_Section):
+    """How `pipeline.ablation` goes from the configured protocol to another one, and from `pouct_paper` to `pouct`."""
+
+    switches: tuple[Arm, ...]
+    steps: tuple[Arm, ...]
+    added_alone: bool
+    taken_alone: bool
+
+
+class Optimality(_Section):
+    """How far planners are from optimal: on how many trials and worlds it is measured."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
+    trials_per_cell: Positive
+    worlds: int = Field(ge=2)
 
 
 class Replay(_Section):
@@ -278,18 +358,31 @@ class Config(_Section):
     cache_limit_gb: float = Field(gt=0)
     map: Map
     homes: Homes = Field(discriminator="source")
+    contents: Contents
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
+    planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
+    belief: Belief
     evaluation: Evaluation
     realism: Realism
+    housekeep: Housekeep
+    ablation: Ablation
+    optimality: Optimality
     replay: Replay
     cluster: Cluster
     tracking: Tracking
 
     def planner_options(self, name: str) -> dict[str, Any]:
-        """The options of one planner; those of a planner of your own stand under its class's name."""
+        """The options of one planner or variant; those of a planner of your own stand under its class's name."""
+        if (variant := self.planner_variants.get(name)) is not None:
+            return self.planner_options(variant.planner) | variant.options
         return self.planner.get(name.rsplit(".", 1)[-1], {})
+
+    def planner_behind(self, name: str) -> str:
+        """The planner that a variant is one of; a planner's own name where it is none."""
+        variant = self.planner_variants.get(name)
+        return name if variant is None else variant.planner
 
 
 def load(composed: DictConfig) -> Config:
@@ -301,6 +394,7 @@ def load(composed: DictConfig) -> Config:
         plain = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
+    _read_formula(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
@@ -309,10 +403,38 @@ def load(composed: DictConfig) -> Config:
     return config
 
 
+def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
+    """The configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
+    changed = OmegaConf.create(config.model_dump(mode="json"))
+    changed.merge_with_dotlist(list(overrides))
+    return load(changed)
+
+
+def _read_formula(plain: Any) -> None:
+    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    options = plain["evaluation"]
+    if (path := options.get("formula_file")) is None:
+        return
+    if options["formula"] is not None:
+        raise UserError("evaluation.formula_file: give it or evaluation.formula, not both")
+    try:
+        options["formula"] = " ".join(_absolute(Path(str(path))).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
+    options["formula_file"] = None
+
+
 def _check_planners(config: Config) -> None:
+    for name in config.planner_variants:
+        if name in PLANNERS:
+            raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
+        _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
     for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", name, config.planner_options(name))
-    own = {name.rsplit(".", 1)[-1] for name in config.evaluation.planners if "." in name}
+        _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+    for name in config.optimality.planners:
+        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
+    behind = {config.planner_behind(name) for name in config.evaluation.planners}
+    own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
     for name in config.planner.keys() - own:
         _check_planner("planner", name, config.planner[name])
 

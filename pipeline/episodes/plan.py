@@ -1,12 +1,14 @@
 """What an evaluation consists of: its episodes, what they share, and the identity that its rows carry."""
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mrtask.execution.team import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
+from mrtask.likelihood.adapt import AdaptOptions
 from mrtask.likelihood.table import build_table
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
@@ -20,7 +22,7 @@ from pipeline.store.version import code_version, source_hash
 
 RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
 """The library packages whose code decides what an episode's row says."""
-WITHOUT_EFFECT = {"homes", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
+WITHOUT_EFFECT = {"homes", "formula_file", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
 """Keys of ``evaluation`` that do not change what a row says, or are recorded by what they led to."""
 
 
@@ -45,6 +47,16 @@ class EvaluationPlan:
         """The episodes that are not finished yet."""
         return [key for key in self.keys if (key.trial_id, key.planner) not in finished]
 
+    def chains(self, missing: Collection[EpisodeKey]) -> list[tuple[EpisodeKey, ...]]:
+        """What is run in one go: an episode, or where beliefs adapt all tasks of a home of which one is missing."""
+        if self.context.adapt is None:
+            return [(key,) for key in missing]
+        tasks, chains = self.context.trials.tasks_per_home, defaultdict[EpisodeKey, list[EpisodeKey]](list)
+        for key in self.keys:
+            chains[replace(key, number=key.number // tasks)].append(key)
+        wanted = set(missing)
+        return [tuple(chain) for chain in chains.values() if wanted & set(chain)]
+
 
 def check(options: Evaluation) -> None:
     """Refuses what can be refused before any work: the formula and the files."""
@@ -68,15 +80,21 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir),
+        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir, config.map.ways),
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
             formula=options.formula,
             formula_objects=objects,
             robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            tasks_per_home=options.tasks_per_home,
+            unsearched_share=options.unsearched_share,
+            cost=options.cost,
         ),
         planner_options={name: config.planner_options(name) for name in options.planners},
+        planners_behind={name: config.planner_behind(name) for name in options.planners},
+        home_order=options.homes.order,
+        adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
         provenance=Provenance(model.version, identity.config_hash, code_version()),
     )
     return EvaluationPlan(
@@ -139,13 +157,16 @@ def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...
 
 def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> RunIdentity:
     options = config.evaluation
+    ids = [home.id for home in evaluated]
+    variants = {name: {"variant_of": one.planner} for name, one in config.planner_variants.items()}
     return RunIdentity(
         seed=config.seed,
         map=config.map,
         homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
-        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT),
-        evaluated_homes=content_hash(sorted(home.id for home in evaluated)),
-        planner={name: config.planner_options(name) for name in options.planners},
+        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT)
+        | {"home_order": options.homes.order, "belief": config.belief.model_dump() if config.belief.adapt else None},
+        evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
+        planner={name: config.planner_options(name) | variants.get(name, {}) for name in options.planners},
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
     )

@@ -9,7 +9,7 @@ from pipeline.base import console
 from pipeline.base.config import Evaluation
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
-from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_one, unfinished_row, warm
+from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, unfinished_row, warm
 from pipeline.store.episode_row import EpisodeRow
 from pipeline.store.records import Reach
 from pipeline.store.rows import EpisodeWriter
@@ -45,37 +45,42 @@ def run_episodes(
     tally = Tally(plan.planners, options.max_failed_fraction)
     warm_kernels(plan.context, missing)
     done = len(plan.keys) - len(missing)
+    chains, wanted = plan.chains(missing), {(key.trial_id, key.planner) for key in missing}
+    timeout_s = options.episode_timeout_s * max((len(chain) for chain in chains), default=1)
     try:
         with console.Progress(len(plan.keys), "episodes", done) as progress:
-            for outcome in pool.run(run_one, missing, plan.context, timeout_s=options.episode_timeout_s):
+            for outcome in pool.run(run_chain, chains, plan.context, timeout_s=timeout_s):
                 if outcome is None:
                     writer.tick()
                     progress.update(0)
                     continue
-                row = row_of(outcome, plan.context)
-                writer.add(row)
-                tally.add(row)
-                progress.update(note=tally.note())
+                for row in rows_of(outcome, plan.context):
+                    if (row.trial_id, row.planner) in wanted:  # others were there, and were run to be learned from
+                        writer.add(row)
+                        tally.add(row)
+                        progress.update(note=tally.note())
     finally:
         writer.close()
 
 
-def row_of(outcome: Outcome[EpisodeKey, EpisodeRow], context: Context) -> EpisodeRow:
-    """An episode's row, whatever became of it."""
+def rows_of(
+    outcome: Outcome[tuple[EpisodeKey, ...], tuple[EpisodeRow, ...]], context: Context
+) -> tuple[EpisodeRow, ...]:
+    """The rows of a chain's episodes, whatever became of them; one that breaks off takes its whole chain along."""
     if outcome.value is not None:
-        row = outcome.value
+        rows = outcome.value
     elif outcome.failure is not None:
         status = "timeout" if outcome.failure.kind == "timeout" else "error"
-        row = unfinished_row(outcome.item, context, status, outcome.failure.message)
+        rows = tuple(unfinished_row(key, context, status, outcome.failure.message) for key in outcome.item)
     else:
         raise ValueError(f"{outcome.item} has neither a value nor a failure")
-    return replace(row, attempt=outcome.attempt)
+    return tuple(replace(row, attempt=outcome.attempt) for row in rows)
 
 
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
     """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
     for name, key in {key.planner: key for key in reversed(missing)}.items():
-        if name in PLANNERS:
+        if context.planner(name)[0] in PLANNERS:
             try:
                 warm(key, context)
             except Exception as error:  # the run goes on: its episodes will be rows of status error

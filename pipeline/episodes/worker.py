@@ -6,15 +6,20 @@ find it ready.
 
 import resource
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.analysis.bounds.assess import assess
 from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
@@ -47,10 +52,11 @@ class MapOptions:
     resolution_m: float
     robot_radius_m: float
     cache_dir: Path
+    ways: str = "shortest"
 
     def map_of(self, home: Home) -> HomeMap:
         """The home's map, from the cache where it is there."""
-        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m)
+        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m, self.ways)
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,15 @@ class Context:
     trials: TrialOptions
     planner_options: Mapping[str, Mapping[str, Any]]
     provenance: Provenance
+    planners_behind: Mapping[str, str] = field(default_factory=dict)
+    """The planner that each name stands for; a name that is not here stands for itself."""
+    home_order: str = "shuffled"
+    adapt: AdaptOptions | None = None
+    """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
+
+    def planner(self, name: str) -> tuple[str, Mapping[str, Any]]:
+        """The planner behind a name, and its options."""
+        return self.planners_behind.get(name, name), self.planner_options.get(name, {})
 
 
 @dataclass(frozen=True)
@@ -92,18 +107,38 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
+def run_chain(keys: tuple[EpisodeKey, ...], context: Context) -> tuple[EpisodeRow, ...]:
+    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before."""
+    seen: list[Sighting] = []
+    rows = []
+    for task, key in enumerate(keys):
+        row, sightings = _run(key, task, seen, context)
+        rows.append(row)
+        seen += sightings
+    return tuple(rows)
+
+
 def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed; ``observe`` is told of its decisions."""
+    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet.
+
+    ``observe`` is called at each of its decisions.
+    """
+    return _run(key, 0, (), context, observe)[0]
+
+
+def _run(
+    key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context, observe: Observer | None = None
+) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
+    """An episode's row and what it showed, after what earlier tasks in its home showed."""
     began_s = time.perf_counter()
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = context.table.matrix(home, trial.objects)
-    options = context.planner_options.get(key.planner, {})
+    likelihood = _likelihood(home, trial.objects, task, seen, context)
     home_map = bench.map_of(trial.home_id)
-    result = run_episode(trial, home, home_map, likelihood, key.planner, options, observe=observe)
+    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
-    return replace(
+    row = replace(
         unfinished_row(key, context, result.status, result.error),
         home_id=home.id,
         home_source=home.source,
@@ -122,16 +157,36 @@ def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) 
         wall_s=time.perf_counter() - began_s,
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
+    return row, sightings_of(home, task, result.searched, trial.objects)
+
+
+def _likelihood(
+    home: Home, objects: tuple[str, ...], task: int, seen: Sequence[Sighting], context: Context
+) -> NDArray[np.float64]:
+    """``P(object in container)``, ``[C, O]``: the model's, corrected by what was seen where beliefs adapt."""
+    if context.adapt is None or not seen:
+        return context.table.matrix(home, objects)
+    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
+    prior = context.table.matrix(home, known)
+    return adapted(prior, known, home.container_kinds(), seen, task, context.adapt)[:, : len(objects)]
+
+
+def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
+    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    bench = _bench(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = context.table.matrix(home, trial.objects)
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
     """Compiles what the planner needs."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
-    options = context.planner_options.get(key.planner, {})
     likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    warm_up(trial, home, home_map, likelihood, key.planner, options)
+    warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
@@ -159,7 +214,7 @@ class _Bench:
         self.map_of = lru_cache(maxsize=MAPS_KEPT)(lambda home_id: context.maps.map_of(self.homes[home_id]))
         self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)
         self._order = lru_cache(maxsize=None)(
-            lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed)
+            lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed, context.home_order)
         )
 
     def _sample(self, size_class: str, robots: int, number: int) -> Trial:

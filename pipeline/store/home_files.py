@@ -16,6 +16,7 @@ from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.maps.ros_map import read_map_worlds
 from pipeline.base import console
 from pipeline.base.config import UserError
+from pipeline.store.voted_contents import VotedContents
 
 SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
 
@@ -40,6 +41,13 @@ class HomeSource(Protocol):
 class _Files(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    contents: VotedContents | None = None
+    """What the containers hold instead of what the files say."""
+
+    @property
+    def _contents_paths(self) -> tuple[Path, ...]:
+        return self.contents.paths if self.contents else ()
+
 
 class HouseFiles(_Files):
     """House files in ProcTHOR's schema, with the database of their assets if there is one."""
@@ -52,7 +60,7 @@ class HouseFiles(_Files):
     @property
     def paths(self) -> tuple[Path, ...]:
         """Every file that is read."""
-        return (*self.files, *([self.assets] if self.assets else []))
+        return (*self.files, *([self.assets] if self.assets else []), *self._contents_paths)
 
     def read(self) -> tuple[Home, ...]:
         """The distinct homes, in the order of the files.
@@ -60,12 +68,17 @@ class HouseFiles(_Files):
         Raises:
             UserError: a home is faulty and such are not skipped, or all are faulty.
             HouseError: a file cannot be read to its end.
+            VotesError: the contents' files cannot be read.
         """
-        return _read_houses(self)[0]
+        return _furnish(self)
+
+    def as_they_come(self) -> "HouseFiles":
+        """The same homes with the contents that the files give them, in the same order."""
+        return self.model_copy(update={"contents": None})
 
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the homes that were left out."""
-        return _read_houses(self)[1]
+        return _read_houses(self.as_they_come())[1]
 
 
 class MapFiles(_Files):
@@ -81,11 +94,11 @@ class MapFiles(_Files):
     @property
     def paths(self) -> tuple[Path, ...]:
         """Every file that is read."""
-        return (*self.maps, *self.containers)
+        return (*self.maps, *self.containers, *self._contents_paths)
 
     def read(self) -> tuple[Home, ...]:
         """The distinct worlds of all maps; raises `MapError`."""
-        return _read_maps(self)
+        return _furnish(self)
 
     def faults(self) -> tuple[str, ...]:
         """None: a faulty map is an error."""
@@ -94,6 +107,13 @@ class MapFiles(_Files):
 
 HomeFiles = Annotated[HouseFiles | MapFiles, Field(discriminator="kind")]
 """Either kind, as a field of a record."""
+
+
+@lru_cache(maxsize=4)
+def _furnish(source: HouseFiles | MapFiles) -> tuple[Home, ...]:
+    plain = source.model_copy(update={"contents": None})
+    homes = _read_houses(plain)[0] if isinstance(plain, HouseFiles) else _read_maps(plain)
+    return source.contents.furnish(homes) if source.contents else homes
 
 
 @lru_cache(maxsize=4)

@@ -33,15 +33,18 @@ class HomeSet:
         return {name: getattr(self.manifest.split, name) for name in SPLITS}
 
     def evaluation_homes(self, given: EvaluationHomes) -> tuple[HomeFiles, tuple[Home, ...]]:
-        """The homes to evaluate planners on, and the files that they are from.
+        """The homes to evaluate planners on, in the order of the files that they are from, and those files.
 
         These are the homes in the files given, else what stands in for the test homes, else the test homes. Files given
-        without a database of assets are read with that of the set's own houses.
+        without a database of assets are read with that of the set's own houses. All have contents of the set's kind.
         """
         if given.files:
             assets = given.assets or self.houses.assets
-            others = HouseFiles(files=given.files, assets=assets, skip_faulty=given.skip_faulty)
+            others = HouseFiles(
+                files=given.files, assets=assets, skip_faulty=given.skip_faulty, contents=self.houses.contents
+            )
             return others, others.read()
         if self.instead_of_test is not None:
             return self.instead_of_test, self.instead_of_test.read()
-        return self.houses, self.read()["test"]
+        test = set(self.manifest.split.test)
+        return self.houses, tuple(home for home in self.houses.read() if home.id in test)

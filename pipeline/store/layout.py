@@ -5,9 +5,11 @@ episodes/             the rows, `EpisodeRow`, as Parquet
 evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
-report/               index.html and table.csv, and `ReportKey` in manifest.json
+report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
+optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave
+housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
 """
 
@@ -22,9 +24,11 @@ STAGES = "stages.json"
 REPORT = "report"
 REPORT_INDEX = REPORT_FILE
 REPORT_KEY = "manifest.json"
+OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
 REPLAYS = "replays"
+HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
 
 

@@ -133,6 +133,12 @@ def read_traces(folder: Folder, trials: Collection[str], planners: Collection[st
     return frame
 
 
+def read_csv(folder: Folder, name: str) -> pd.DataFrame | None:
+    """A table that a stage left in the folder, None where there is none."""
+    content = folder.read(name)
+    return None if content is None else pd.read_csv(io.BytesIO(content))
+
+
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
     """Where two nested configurations differ: ``key: was ..., now ...``."""
     for key in sorted(old.keys() | new.keys()):

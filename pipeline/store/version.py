@@ -2,8 +2,12 @@
 
 import subprocess
 from functools import cache
+from pathlib import Path
 
 from mrtask.sources import ROOT, hash_folders
+
+STAGES = Path(__file__).parents[1].relative_to(ROOT).as_posix()
+"""The folder of the stages: ``pipeline`` in a checkout, ``mrtask/pipeline`` where a wheel was installed."""
 
 
 @cache
@@ -14,9 +18,18 @@ def source_hash(*folders: str) -> str:
 
 @cache
 def code_version() -> str:
-    """The commit (``-dirty`` with uncommitted changes), or the sources' hash where there is no git."""
+    """The commit (``-dirty`` with uncommitted changes), or the sources' hash where there is no git.
+
+    Installed, the code may lie in an environment below somebody else's repository, whose commit says nothing.
+    """
+    if not (ROOT / ".git").exists():
+        return _without_git()
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        return f"source-{source_hash('mrtask', 'pipeline')}"
+        return _without_git()
+
+
+def _without_git() -> str:
+    return f"source-{source_hash('mrtask', STAGES)}"

@@ -1,4 +1,6 @@
 from dataclasses import replace
+from itertools import pairwise
+from math import dist
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from mrtask.execution.trace import Trace
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
 from mrtask.planning.planners import PLANNERS
-from mrtask.tasks.templates import TEMPLATES
+from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.execution.trace_check import check_trace
 
 OPTIONS = {"pouct": {"samples": 25}, "known": {"samples": 25}, "pouct_paper": {"samples": 25}}
@@ -38,7 +40,7 @@ def make_trial(world, size_class, robots, number, **options):
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
-@pytest.mark.parametrize("template", TEMPLATES)
+@pytest.mark.parametrize("template", PAPER_TEMPLATES)
 @pytest.mark.parametrize("robots", [1, 2, 3])
 def test_traces_obey_the_world(world, planner, template, robots):
     for number, (size_class, search_s, interact_s) in enumerate(
@@ -109,3 +111,35 @@ def test_the_decision_limit_ends_an_episode_with_a_reason(world):
     result = run_episode(trial, home, home_map, likelihood, "nonlearned_myopic", max_decisions=1)
     assert result.status == "failed"
     assert "decision limit of 1" in result.error
+
+
+def test_least_motion_is_the_driving_of_the_robot_that_drove_least(world):
+    trial, home, home_map, likelihood = make_trial(world, "large", 3, 0, templates=["and3"], robot=RobotSpec(0.5))
+    timed = run_episode(trial, home, home_map, likelihood, "greedy")
+    least = run_episode(replace(trial, cost="least_motion"), home, home_map, likelihood, "greedy")
+    assert least.trace == timed.trace
+    driven_m = [sum(dist(*ends) for leg in legs for ends in pairwise(leg.path)) for legs in timed.trace.robots]
+    assert least.cost_cells == pytest.approx(min(driven_m) / 0.05, rel=1e-4)
+    assert least.cost_s == pytest.approx(min(driven_m) / 0.5, rel=1e-4)
+    assert timed.cost_s == timed.trace.letters[-1].t_s >= least.cost_s
+
+
+@pytest.mark.parametrize("planner", ["learned_myopic", "greedy", "pouct"])
+def test_containers_known_from_the_start_are_never_searched(world, planner):
+    trial, home, home_map, likelihood = make_trial(world, "medium", 2, 1, unsearched_share=(0.0, 0.0))
+    result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+    assert result.status == "accepted"
+    check_trace(trial, home, home_map, result)
+    known = {home.containers[index].id for index in trial.known}
+    searched = {leg.container for legs in result.trace.robots for leg in legs if leg.kind == "search"}
+    holding = {c.id for c in home.containers if set(c.objects) & set(trial.objects)}
+    assert known and searched <= holding
+    assert not known & holding
+
+
+def test_soft_ways_are_driven_as_the_map_has_them(world):
+    trial, home, _, likelihood = make_trial(world, "small", 2, 0)
+    soft = build_map(home, ways="soft")
+    result = run_episode(trial, home, soft, likelihood, "learned_myopic")
+    assert result.status == "accepted"
+    check_trace(trial, home, soft, result)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrtask.execution.episode import run_episode
+from mrtask.execution.episode import IDLE_DECISIONS_PER_ROBOT, run_episode
 from mrtask.execution.team import RobotSpec, Team
 from mrtask.execution.trials import Trial
 from mrtask.planning.planners import PLANNERS
@@ -19,21 +19,29 @@ FRIDGE, TABLE, BED = 0, 1, 2
 def run(two_room_home, two_room_map):
     """Runs a planner where the egg is in the fridge and the pillow on the bed, from the table."""
 
-    def run(planner, likelihood, formula="F Egg & F Pillow", robots=2, home_map=two_room_map, **options):
+    def run(
+        planner,
+        likelihood,
+        formula="F Egg & F Pillow",
+        robots=2,
+        home=two_room_home,
+        objects=("Egg", "Pillow"),
+        home_map=two_room_map,
+        **options,
+    ):
         trial = Trial(
             trial_id="hard",
-            home_id=two_room_home.id,
+            home_id=home.id,
             size_class="small",
             team=Team(robots, RobotSpec(**options)),
             template="formula",
             formula=formula,
-            objects=("Egg", "Pillow"),
+            objects=objects,
             start_cell=tuple(int(part) for part in two_room_map.access[TABLE]),
             seed=1,
         )
-        return run_episode(
-            trial, two_room_home, home_map, np.broadcast_to(likelihood, (3, 2)), planner, OPTIONS.get(planner)
-        )
+        prior = np.broadcast_to(likelihood, (3, len(objects)))
+        return run_episode(trial, home, home_map, prior, planner, OPTIONS.get(planner))
 
     return run
 
@@ -85,3 +93,30 @@ def test_a_formula_true_from_the_start_is_accepted_without_a_decision(run, plann
 def test_a_formula_that_cannot_come_true_ends_in_failure(run, planner):
     result = run(planner, 0.4, formula="F Egg & !Egg & !Pillow & X(!Egg) & X(!Pillow) & false")
     assert (result.status, result.cost_s) == ("failed", None)
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("robots", [1, 2])
+def test_an_interaction_that_leads_away_from_acceptance_is_made_where_no_other_way_is_left(
+    run, two_room_home, planner, robots
+):
+    formula = "(!Egg U Unicorn) | F (Egg & X F (Pillow & X F Cup))"
+    table = two_room_home.containers[TABLE]
+    containers = list(two_room_home.containers)
+    containers[TABLE] = replace(table, objects=("Cup",))
+    home = replace(two_room_home, containers=tuple(containers))
+    result = run(planner, 0.4, formula, robots, home, ("Unicorn", "Egg", "Pillow", "Cup"))
+    assert result.status == "accepted", result.error
+    # Whoever comes by before its turn, each is interacted with in its turn; more may come before the egg.
+    word = [letter.object for letter in result.trace.letters]
+    assert word[-3:] == ["Egg", "Pillow", "Cup"]
+
+
+def test_a_planner_that_goes_round_in_circles_is_stopped_and_named(run):
+    for robots in (1, 2):
+        result = run("tests.pipeline.own_planners.Pacing", 0.4, robots=robots)
+        idle = IDLE_DECISIONS_PER_ROBOT * robots
+        assert (result.status, result.cost_s) == ("failed", None)
+        assert result.error.startswith(f"no progress for {idle} decisions: tests.pipeline.own_planners.Pacing ")
+        # Before that it searched two containers, with both robots at once.
+        assert result.decisions <= idle + 3

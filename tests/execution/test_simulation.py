@@ -1,3 +1,5 @@
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,29 @@ def test_letters_of_one_instant_come_in_the_order_that_serves_the_task():
     assert serving_order(reverse, reverse.initial, frozenset([0, 1])) == [1, 0]
     either = build_automaton("F a | F b", ["a", "b"])
     assert serving_order(either, either.initial, frozenset([0, 1])) == [0]
+
+
+def test_letters_of_one_instant_are_dropped_only_where_they_do_not_advance():
+    # By `b` the short way over `a` is given up: three letters are left instead of one.
+    automaton = build_automaton("(!b U a) | F (b & X F (c & X F d))", ["a", "b", "c", "d"])
+    assert serving_order(automaton, automaton.initial, frozenset([1])) == [1]
+    assert serving_order(automaton, automaton.initial, frozenset([0, 1])) == [0]
+    assert serving_order(automaton, automaton.initial, frozenset([1, 2, 3])) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_the_serving_order_is_the_best_of_all_orders(number):
+    rng = np.random.default_rng(number)
+    texts = ("(!b U a) | F (b & X F (c & X F d))", "F a & (F b | F c) & F d", "((!c & !b) U a) & (!c U b) & F c | F d")
+    automaton = build_automaton(texts[number % 3], ["a", "b", "c", "d"])
+    state = int(rng.integers(len(automaton.transitions)))
+    objects = frozenset(np.flatnonzero(rng.random(4) < 0.6).tolist())
+    outcomes = []
+    for order in permutations(sorted(objects)):
+        here, made = state, []
+        for obj in order:
+            if automaton.advancing[here, obj]:
+                here = int(automaton.transitions[here, obj])
+                made.append(obj)
+        outcomes.append((int(automaton.steps_to_accept[here]), -len(made), made))
+    assert serving_order(automaton, state, objects) == min(outcomes)[2]

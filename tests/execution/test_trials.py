@@ -1,6 +1,9 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from mrtask.execution.trials import TrialOptions, home_order, sample_trial
+from mrtask.execution.trials import TrialOptions, home_order, known_containers, sample_trial
 from mrtask.maps.home_map import build_map
 
 
@@ -54,3 +57,30 @@ def test_homes_without_enough_objects_are_refused_with_the_remedy(two_room_home,
     or_seq = TrialOptions(("or_seq",))
     with pytest.raises(ValueError, match=r"no small home has enough distinct .* give other evaluation homes"):
         sample_trial("small", 1, 0, [two_room_home], lambda home: two_room_map, seed=0, options=or_seq)
+
+
+def test_part_of_the_containers_is_known_but_never_one_with_the_tasks_objects(generated_homes, maps):
+    order = home_order(generated_homes, "large", 2, seed=0)
+    shares, by_id = [], {home.id: home for home in generated_homes}
+    for number in range(40):
+        args = ("large", 2, number, order, lambda home: maps[home.id])
+        trial = sample_trial(*args, seed=0, options=TrialOptions(unsearched_share=(0.5, 1.0)))
+        assert replace(trial, known=()) == sample_trial(*args, seed=0)  # nothing else is drawn anew
+        containers = by_id[trial.home_id].containers
+        for index in trial.known:
+            assert not set(containers[index].objects) & set(trial.objects)
+        shares.append(1 - len(trial.known) / len(containers))
+        assert trial == sample_trial(*args, seed=0, options=TrialOptions(unsearched_share=(0.5, 1.0)))
+    assert 0.5 - 0.02 <= min(shares) < 0.6 and 0.9 < max(shares) <= 1.0
+    assert np.mean(shares) == pytest.approx(0.75, abs=0.1)
+
+
+def test_what_holds_the_tasks_objects_stays_unsearched_even_beyond_the_share(two_room_home):
+    rng = np.random.default_rng(0)
+    assert known_containers(two_room_home, ("Egg", "Pillow"), (0.0, 0.0), rng) == (1,)
+    assert known_containers(two_room_home, ("Egg", "Pillow"), (1.0, 1.0), rng) == ()
+
+
+def test_in_file_order_all_team_sizes_take_the_same_homes(generated_homes):
+    orders = [home_order(generated_homes, "small", robots, 0, "file") for robots in (1, 2, 3)]
+    assert orders[0] == orders[1] == orders[2] == [home for home in generated_homes if home.size_class == "small"]

@@ -44,6 +44,16 @@ def test_other_parameters_are_other_maps(tmp_path, two_room_home, builds):
     assert len(builds) == 3
 
 
+def test_soft_ways_are_another_map_and_come_back_whole(tmp_path, two_room_home, two_room_map, builds):
+    soft = build_map(two_room_home, ways="soft")
+    for _ in range(2):
+        stored = cached_map(two_room_home, tmp_path, ways="soft")
+        same(stored, soft)
+        np.testing.assert_array_equal(stored.steps, soft.steps)
+    same(cached_map(two_room_home, tmp_path), two_room_map)
+    assert len(builds) == 2
+
+
 def test_other_code_makes_other_maps(tmp_path, two_room_home, builds, monkeypatch):
     cached_map(two_room_home, tmp_path)
     monkeypatch.setattr(cache, "_code", lambda: "the hash of an edited map builder")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.graph import MCP_Geometric
 
-from mrtask.maps.distance_fields import descend, distance_fields
+from mrtask.maps.distance_fields import WALL_COST, descend, distance_fields, follow, soft_cost, soft_fields
 
 spec = importlib.util.spec_from_file_location("naive_maps", Path(__file__).with_name("naive_maps.py"))
 naive = importlib.util.module_from_spec(spec)
@@ -61,3 +61,28 @@ def test_goals_without_a_cell_have_infinite_fields():
     fields = distance_fields(np.ones((3, 3), bool), np.array([[-1, -1], [1, 1]], np.int32), 1.0)
     assert np.isinf(fields[0]).all()
     assert fields[1, 0, 0] == pytest.approx(2**0.5)
+
+
+@pytest.mark.parametrize(("rows", "cols", "blocked_prob"), [(1, 1, 0.0), (9, 14, 0.3), (60, 80, 0.05)])
+def test_soft_ways_are_of_least_cost_and_as_long_as_the_field_says(rows, cols, blocked_prob):
+    free, goal = random_grid(5, rows, cols, blocked_prob)
+    goals = np.array([goal, (-1, -1)], np.int32)
+    (field_m, none_m), (steps, _) = soft_fields(free, goals, 0.05)
+    assert np.isinf(none_m).all()
+    cost = soft_cost(free, 0.05)
+    least, _ = MCP_Geometric(np.where(free, cost, np.inf)).find_costs([goal])
+    np.testing.assert_array_equal(np.isfinite(field_m), np.isfinite(least))
+    for row, col in np.argwhere(np.isfinite(field_m))[::11]:
+        cells = follow(steps, int(row), int(col))
+        assert tuple(cells[0]) == (row, col) and tuple(cells[-1]) == goal
+        assert naive.path_length_m(cells, 0.05) == pytest.approx(field_m[row, col], rel=1e-5, abs=1e-6)
+        lengths = np.hypot(*np.diff(cells, axis=0).T)
+        along = cost[tuple(cells.T)]
+        assert (lengths * (along[:-1] + along[1:]) / 2).sum() == pytest.approx(least[row, col], rel=1e-9, abs=1e-9)
+
+
+def test_cells_cost_most_beside_walls():
+    cost = soft_cost(np.ones((41, 41), bool), 0.05)
+    assert cost[0, 20] == cost[20, 40] == WALL_COST
+    assert cost[20, 20] == cost[11, 20] == 1.0
+    assert (np.diff(cost[:21, 20]) <= 0).all()

@@ -3,6 +3,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 import shapely
+from scipy import ndimage
 from shapely.geometry import LineString, Polygon, box
 
 from mrtask.homes.home import Container, Door, Home, Obstacle, Room
@@ -161,3 +162,19 @@ def test_real_homes_are_reachable(shared_homes):
     travel_m = [build_map(home, 0.1).travel_m for home in homes[:8]]
     means_m = [t[np.isfinite(t) & (t > 0)].mean() for t in travel_m]
     assert 8 < np.mean(means_m) < 16
+
+
+def test_soft_ways_are_longer_and_keep_away_from_walls(two_room_home, two_room_map):
+    soft = build_map(two_room_home, ways="soft")
+    np.testing.assert_array_equal(soft.access, two_room_map.access)
+    assert (soft.travel_m >= two_room_map.travel_m - 1e-5).all()
+    assert soft.travel_m[0, 2] > two_room_map.travel_m[0, 2]
+    clearance = ndimage.distance_transform_edt(soft.free)
+    start = tuple(int(part) for part in soft.access[0])
+    near, far = (clearance[tuple(home_map.path(start, 2).T)].mean() for home_map in (two_room_map, soft))
+    assert far > near
+
+
+def test_other_ways_are_refused(two_room_home):
+    with pytest.raises(ValueError, match="ways must be one of shortest, soft, not 'scenic'"):
+        build_map(two_room_home, ways="scenic")

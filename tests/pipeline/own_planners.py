@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from mrtask.planning.myopic import nonlearned_myopic
-from mrtask.planning.problem import Plan, PlanningProblem
+from mrtask.planning.problem import Assignment, Plan, PlanningProblem
 
 
 class Slow:
@@ -55,3 +55,12 @@ class Deadly(Slow):
             self._marker.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return super().plan(problem, seed)
+
+
+class Pacing:
+    """Sends every robot to and fro between the first two containers."""
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """The other one of the two."""
+        free = [index for index, robot in enumerate(problem.robots) if robot.free]
+        return Plan({index: Assignment(1 if problem.robots[index].place == 0 else 0) for index in free})

@@ -5,6 +5,7 @@ interacting. This is the readable form; `mrtask.planning.paper_kernel` draws one
 """
 
 from dataclasses import dataclass, replace
+from math import prod
 
 from mrtask.tasks.automaton import Automaton
 
@@ -49,7 +50,7 @@ class Outcome:
 
 
 def advance_belief_until_robot_free(
-    belief: TeamBelief, automaton: Automaton, likelihood: dict[Pair, float]
+    belief: TeamBelief, automaton: Automaton, likelihood: dict[Pair, float], *, exists: bool = False
 ) -> list[Outcome]:
     """The paper's Algorithm 1: the distribution over team beliefs when the first robot becomes free.
 
@@ -60,6 +61,7 @@ def advance_belief_until_robot_free(
 
     Args:
         likelihood: probability that the object is in the container, for pairs neither known present nor absent.
+        exists: condition it on the object being in some container.
 
     Returns:
         The outcomes of positive probability, which sum to 1.
@@ -85,12 +87,15 @@ def advance_belief_until_robot_free(
             after = replace(belief, time_s=time_s, state=state, present=present, actions=_freed(belief, robot))
             outcomes.append(Outcome(weight, after, robot, found=True))
             break
-        prob = 1.0 if action.pair in present else 0.0 if action.pair in belief.absent else likelihood[action.pair]
-        if prob < 1.0:
+        there = 1.0 if action.pair in present else 0.0 if action.pair in belief.absent else likelihood[action.pair]
+        if exists and action.pair not in present and action.obj not in {obj for _, obj in present}:
+            open_pairs = [pair for pair in likelihood if pair[1] == action.obj and pair not in belief.absent]
+            there /= 1.0 - prod(1.0 - likelihood[pair] for pair in open_pairs)
+        if there < 1.0:
             absent = belief.absent | {action.pair}
             after = replace(belief, time_s=time_s, present=present, absent=absent, actions=_freed(belief, robot))
-            outcomes.append(Outcome(weight * (1.0 - prob), after, robot, found=False))
-        weight *= prob
+            outcomes.append(Outcome(weight * (1.0 - there), after, robot, found=False))
+        weight *= there
         if weight == 0.0:
             break
         present |= {action.pair}

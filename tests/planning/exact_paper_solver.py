@@ -44,10 +44,12 @@ class Team(NamedTuple):
 class ExactPaperSolver:
     """``value(joint)`` gives the expected makespan of a first joint action, ``optimum()`` the least.
 
-    ``penalty_s`` is what a team pays on top that cannot finish.
+    ``penalty_s`` is what a team pays on top that cannot finish. With ``exists`` likelihoods are conditioned on every
+    object being somewhere.
     """
 
-    def __init__(self, problem, penalty_s):
+    def __init__(self, problem, penalty_s, exists=False):
+        self.exists = exists
         automaton = problem.automaton
         self.delta = automaton.transitions.tolist()
         self.accepting = automaton.accepting.tolist()
@@ -105,13 +107,14 @@ class ExactPaperSolver:
         located = {o for _, o in team.found}
         now = self.advancing[team.z]
         taken = {(other.container, other.obj) for other in team.acting if other}
+        ready = any((here, o) in team.found for o in self.needed[team.z] - now)
         progress, early = [], []
         for c, o in product(self.containers, self.objects):
             there = (c, o) in team.found
             useful = o in self.needed[team.z] and (c, o) not in team.missed | taken
             possible = there or (o not in located and self.prob[c][o] > 0)
             in_turn = o in now or now <= located
-            merely_waits = there and here == c and o not in now
+            merely_waits = there and o not in now and ready
             if useful and possible and in_turn and not merely_waits and self._distance_s(team, robot, c) < inf:
                 (early if there and o not in now else progress).append((c, o))
         others = [r for r in range(len(team.acting)) if r != robot]
@@ -177,15 +180,28 @@ class ExactPaperSolver:
         open_pairs = sorted(pairs - team.found - team.missed)
         ends = {}
         for there in product((True, False), repeat=len(open_pairs)):
-            weight = prod(
-                self.prob[c][o] if here else 1 - self.prob[c][o] for (c, o), here in zip(open_pairs, there, strict=True)
-            )
+            weight = self._weight(team, open_pairs, there)
             present = team.found | {pair for pair, here in zip(open_pairs, there, strict=True) if here}
-            if weight > 0:
+            if weight > 1e-12:
                 passed_s, after = self._play(team, robots, present)
                 before, _ = ends.get(after, (0.0, None))
                 ends[after] = before + weight, passed_s
         return [(weight, passed_s, after) for after, (weight, passed_s) in ends.items()]
+
+    def _weight(self, team, pairs, there):
+        """The probability that the pairs are there or not."""
+        weight = 1.0
+        for o in {o for _, o in pairs}:
+            holds = {c: here for (c, other), here in zip(pairs, there, strict=True) if other == o}
+            here_prob = prod(self.prob[c][o] if here else 1 - self.prob[c][o] for c, here in holds.items())
+            if self.exists and o not in {found for _, found in team.found}:
+                unknown = [self.prob[c][o] for c in self.containers if (c, o) not in team.missed]
+                nowhere = prod(1 - p for p in unknown)
+                if not any(holds.values()):
+                    here_prob -= nowhere
+                here_prob /= 1 - nowhere
+            weight *= here_prob
+        return weight
 
     def _play(self, team, robots, present):
         """Where it ends if ``present`` are the pairs that hold."""

@@ -23,15 +23,15 @@ from tests.planning.problems import tiny_problem
 EXACT = 0.01
 OPTIONS = {
     "pouct": {"exploration": 1.5, "widening_exponent": 0.5, "max_nodes": 4_000_000},
-    "pouct_paper": {"max_nodes": 4_000_000},
+    "pouct_paper": {"max_nodes": 4_000_000, "max_actions": None, "exists": False},
 }
 """A search that is to find the optimum must come to try every action and not be cut short."""
 
 
-def exact_solver(name, problem):
+def exact_solver(name, problem, exists=False):
     """The solver of a planner's own abstraction."""
     if name == "pouct_paper":
-        return ExactPaperSolver(problem, stuck_penalty_s(problem))
+        return ExactPaperSolver(problem, stuck_penalty_s(problem), exists)
     return ExactSolver(problem, problem.presence_prob)
 
 

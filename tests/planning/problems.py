@@ -6,7 +6,7 @@ import numpy as np
 
 from mrtask.planning.problem import PlanningProblem, RobotStatus
 from mrtask.tasks.automaton import build_automaton
-from mrtask.tasks.templates import TEMPLATES, make_formula
+from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
 NAMES = ("a", "b", "c", "d")
 SHAPES = {
@@ -59,8 +59,8 @@ def tiny_problem(number):
     container was searched before; in some the last robot is under way.
     """
     rng = np.random.default_rng([number, 20260320])
-    template = tuple(TEMPLATES)[number % len(TEMPLATES)]
-    robots, containers = SHAPES[template][number // len(TEMPLATES) % len(SHAPES[template])]
+    template = PAPER_TEMPLATES[number % len(PAPER_TEMPLATES)]
+    robots, containers = SHAPES[template][number // len(PAPER_TEMPLATES) % len(SHAPES[template])]
     names = NAMES[: TEMPLATES[template].arity]
     prob = np.clip(rng.beta(0.5, 1.0, (containers, len(names))), 0.05, 0.95)
     searched = [0] if containers > 1 and rng.random() < 0.3 else []

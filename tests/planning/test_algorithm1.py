@@ -5,8 +5,9 @@ from math import prod
 import numpy as np
 import pytest
 
-from mrtask.planning.paper import blank_belief, paper_model, root_belief, sufficient_sets
-from mrtask.planning.paper_kernel import NONE, PRESENT, copy_belief, sample_outcome
+from mrtask.planning.paper_belief_kernel import AUTOMATON, LOCATED, copy_belief, sample_outcome
+from mrtask.planning.paper_team import blank_belief, paper_model, root_belief, sufficient_sets
+from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import build_automaton
 from tests.planning.algorithm1 import RobotAction, TeamBelief, advance_belief_until_robot_free
 from tests.planning.problems import random_problem
@@ -29,9 +30,13 @@ def random_team(seed, robots=3, containers=4):
     return TeamBelief(0.0, automaton.initial, present, absent, tuple(actions)), automaton, likelihood
 
 
-def enumerate_outcomes(belief, automaton, likelihood):
-    """Plays every possible content of the pairs acted on to the first freed robot; no weights along the way."""
-    pairs = sorted({action.pair for action in belief.actions if action})
+def enumerate_outcomes(belief, automaton, likelihood, exists):
+    """Plays every possible content of the pairs acted on to the first freed robot; no weights along the way.
+
+    With ``exists``, every content of all containers in which some object acted on is nowhere is left out.
+    """
+    acted = {action.pair for action in belief.actions if action}
+    pairs = sorted(pair for pair in likelihood if pair[1] in {obj for _, obj in acted}) if exists else sorted(acted)
     sure = {
         pair: 1.0 if pair in belief.present else 0.0 if pair in belief.absent else likelihood[pair] for pair in pairs
     }
@@ -39,7 +44,8 @@ def enumerate_outcomes(belief, automaton, likelihood):
     for contents in product((False, True), repeat=len(pairs)):
         there = dict(zip(pairs, contents, strict=True))
         prob = prod(sure[pair] if there[pair] else 1 - sure[pair] for pair in pairs)
-        if prob == 0:
+        somewhere = {obj for (_, obj), here in there.items() if here}
+        if prob == 0 or (exists and not {obj for _, obj in acted} <= somewhere):
             continue
         ends = []
         for robot, action in enumerate(belief.actions):
@@ -61,20 +67,22 @@ def enumerate_outcomes(belief, automaton, likelihood):
         if not (found and automaton.advancing[belief.state, action.obj]):
             state = belief.state
         result[(robot, found, end, state, present, absent)] += prob
-    return result
+    total = sum(result.values())
+    return {outcome: prob / total for outcome, prob in result.items()}
 
 
+@pytest.mark.parametrize("exists", [False, True])
 @pytest.mark.parametrize("seed", range(200))
-def test_algorithm_1_equals_exhaustive_enumeration(seed):
+def test_algorithm_1_equals_exhaustive_enumeration(seed, exists):
     belief, automaton, likelihood = random_team(seed)
-    outcomes = advance_belief_until_robot_free(belief, automaton, likelihood)
+    outcomes = advance_belief_until_robot_free(belief, automaton, likelihood, exists=exists)
     assert sum(outcome.prob for outcome in outcomes) == pytest.approx(1.0, abs=1e-12)
     walked = Counter()
     for outcome in outcomes:
         after = outcome.belief
         assert after.actions[outcome.robot] is None
         walked[(outcome.robot, outcome.found, after.time_s, after.state, after.present, after.absent)] += outcome.prob
-    expected = enumerate_outcomes(belief, automaton, likelihood)
+    expected = enumerate_outcomes(belief, automaton, likelihood, exists)
     assert walked.keys() == expected.keys()
     for key, prob in expected.items():
         assert walked[key] == pytest.approx(prob, abs=1e-12)
@@ -102,32 +110,39 @@ def test_a_team_that_only_waits_is_refused():
         advance_belief_until_robot_free(belief, automaton, {})
 
 
+@pytest.mark.parametrize("exists", [False, True])
 @pytest.mark.parametrize("seed", range(8))
-def test_the_kernel_draws_algorithm_1s_outcomes(seed):
+def test_the_kernel_draws_algorithm_1s_outcomes(seed, exists):
     team, automaton, likelihood = random_team(seed, robots=3, containers=4)
     problem = random_problem(0, template="and3", robots=3, containers=4)
-    model, root, scratch = paper_model(problem), root_belief(problem), blank_belief(problem)
-    model = model._replace(
+    model = paper_model(problem, exists=exists)._replace(
         prob=np.array([[likelihood[c, o] for o in range(3)] for c in range(4)]),
         transitions=automaton.transitions.astype(np.int32),
         accepting=automaton.accepting.astype(np.uint8),
         advancing=(automaton.advancing * (1 << np.arange(3))).sum(axis=1).astype(np.int64),
     )
-    root.state[0] = team.state
-    for pair in team.present | team.absent:
-        root.known[pair] = PRESENT if pair in team.present else 2
+    root, scratch = root_belief(problem, model), blank_belief(problem)
+    root.state[AUTOMATON] = team.state
+    for container, obj in team.present:
+        root.present[container] |= 1 << obj
+        root.state[LOCATED] |= 1 << obj
+    for container, obj in team.absent:
+        root.absent[container] |= 1 << obj
+    for obj in range(3):
+        open_pairs = [pair for pair in likelihood if pair[1] == obj and pair not in team.present | team.absent]
+        root.nowhere[obj] = prod(1 - likelihood[pair] for pair in open_pairs)
     for robot, action in enumerate(team.actions):
         if action:
             root.place[robot], root.obj[robot] = action.pair
             root.arrive_s[robot], root.done_s[robot] = action.arrive_s, action.done_s
     rng, draws, seen = np.array([seed], dtype=np.uint64), 20_000, Counter()
     for _ in range(draws):
-        copy_belief(root, scratch)
+        copy_belief(model, root, scratch)
         order = sample_outcome(model, scratch, rng)
         assert order != NONE
         seen[(order // 2, bool(order % 2), float(scratch.clock[0]), int(scratch.state[0]))] += 1
     expected = Counter()
-    for outcome in advance_belief_until_robot_free(team, automaton, likelihood):
+    for outcome in advance_belief_until_robot_free(team, automaton, likelihood, exists=exists):
         expected[(outcome.robot, outcome.found, outcome.belief.time_s, outcome.belief.state)] += outcome.prob
     assert seen.keys() <= expected.keys()
     for key, prob in expected.items():

@@ -47,3 +47,11 @@ def test_pouct_paper_comes_to_the_exact_optimum_and_more_samples_err_less():
     few, many = (np.array(seen) for seen in found.values())
     assert (many < EXACT).all()
     assert (many.mean(axis=0) < few.mean(axis=0)).all()
+
+
+@pytest.mark.parametrize("options", [{"leaf": "zero"}, {"exists": True}, {"leaf": "greedy", "exists": True}], ids=str)
+def test_other_leaf_values_and_likelihoods_come_to_the_optimum_too(options):
+    for number in (1, 3, 9, 14):
+        problem = tiny_problem(number)
+        solver = exact_solver("pouct_paper", problem, exists=options.get("exists", False))
+        assert max(errors("pouct_paper", problem, solver, 1_000_000, options=options)) < EXACT

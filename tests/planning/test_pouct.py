@@ -7,13 +7,14 @@ from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
 from mrtask.planning.team import team_model
-from mrtask.tasks.templates import TEMPLATES
+from mrtask.planning.team_kernel import history_after
+from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import make_problem, random_problem
 
 CASES = [
     (template, robots, containers, seconds)
-    for template in TEMPLATES
+    for template in PAPER_TEMPLATES
     for robots, containers in ((1, 3), (2, 2), (3, 2))
     for seconds in ((0.0, 0.0), (1.0, 2.0))
 ]
@@ -96,7 +97,7 @@ def test_a_search_that_ends_early_takes_the_same_actions(robots, monkeypatch):
         planner = make_planner("pouct", {"samples": 4000})
         plan = planner.plan(problem, seed)
         with monkeypatch.context() as patch:
-            patch.setattr(pouct, "_is_settled", lambda *arguments: False)
+            patch.setattr(pouct, "is_settled", lambda *arguments: False)
             whole = planner.plan(problem, seed)
         assert plan.assignments == whole.assignments
         assert whole.info.samples == 4000
@@ -244,3 +245,11 @@ def test_unknown_planners_are_refused_with_the_known_ones():
 def test_a_planner_of_ones_own_is_named_by_its_import_path():
     planner = make_planner("mrtask.planning.greedy.Greedy", {"later_weight": 0.5})
     assert planner.plan(random_problem(1, robots=2, containers=4), 0).assignments.keys() == {0, 1}
+
+
+def test_histories_of_many_containers_do_not_meet():
+    containers, held = np.arange(130), np.arange(4)[:, None]
+    after = getattr(history_after, "py_func", history_after)
+    once = after(np.int64(0), held, containers, len(containers)).ravel()
+    twice = after(once[:, None, None], held, containers, len(containers)).ravel()
+    assert len({0, *once.tolist(), *twice.tolist()}) == 1 + len(once) + len(twice)

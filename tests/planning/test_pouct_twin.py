@@ -8,20 +8,20 @@ from mrtask.planning.greedy import Greedy
 from mrtask.planning.pouct import Pouct, PouctOptions
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment
 from mrtask.planning.team import team_model
-from mrtask.tasks.templates import TEMPLATES
+from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.naive_pouct import NaivePouct
 from tests.planning.problems import random_problem
 
 CASES = [
     (template, robots, containers, seconds)
-    for template in TEMPLATES
+    for template in PAPER_TEMPLATES
     for robots, containers in ((1, 7), (2, 5), (3, 6))
     for seconds in ((0.0, 0.0), (1.0, 2.0))
 ]
 
 
 def compare(problem, seed, options, monkeypatch):
-    monkeypatch.setattr(pouct, "_is_settled", lambda *arguments: False)
+    monkeypatch.setattr(pouct, "is_settled", lambda *arguments: False)
     plan = Pouct(options).plan(problem, seed)
     naive = NaivePouct(problem, team_model(problem).prob, seed, options)
     tree = naive.run(options.samples)
@@ -61,7 +61,9 @@ def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):
     assert naive.nodes == 40
 
 
-@pytest.mark.parametrize(("template", "robots"), [(template, robots) for template in TEMPLATES for robots in (1, 2, 4)])
+@pytest.mark.parametrize(
+    ("template", "robots"), [(template, robots) for template in PAPER_TEMPLATES for robots in (1, 2, 4)]
+)
 def test_greedy_equals_the_twins(template, robots):
     for seed in range(5):
         problem = random_problem(seed, template=template, robots=robots, containers=6)

@@ -117,5 +117,9 @@ TEMPLATE_FORMULAS = {
     "seq2": both(before("a", "b"), ("F", "b")),
     "seq3": both(before("a", "c", "b"), before("b", "c"), ("F", "c")),
     "or_seq": both(either(before("a", "c", "d"), before("b", "c", "d")), before("c", "d"), ("F", "d")),
+    "one": ("F", "a"),
+    "or2": either(("F", "a"), ("F", "b")),
+    "seq2_back": both(before("b", "a"), ("F", "a")),
+    "and4": both(("F", "a"), ("F", "b"), ("F", "c"), ("F", "d")),
 }
-"""The six templates, written by hand, over the propositions a, b, c, d."""
+"""The templates, written by hand, over the propositions a, b, c, d."""

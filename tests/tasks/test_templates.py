@@ -2,7 +2,7 @@ import pytest
 
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.formula import parse
-from mrtask.tasks.templates import TEMPLATES, make_formula
+from mrtask.tasks.templates import AUTHORS_TEMPLATES, PAPER_TEMPLATES, TEMPLATES, make_formula
 from tests.tasks.naive_ltl import TEMPLATE_FORMULAS, good_words, text_of, words
 
 # For each template, words that complete it (with no shorter prefix doing so) and words that do not.
@@ -13,14 +13,20 @@ EXPECTED = {
     "seq2": (["ab", "aab"], ["ba", "bab", "a"]),
     "seq3": (["abc", "aabbc"], ["acb", "bac", "abab", "cabc"]),
     "or_seq": (["acd", "bcd", "abcd", "bacccd", "acabd"], ["a", "b", "ab", "cad", "adcd", "acb", "cd", "dacd"]),
+    "one": (["a"], [""]),
+    "or2": (["a", "b"], [""]),
+    "seq2_back": (["ba", "bba"], ["ab", "aba", "b"]),
+    "and4": (["abcd", "dcba", "aabdbc"], ["abc", "ddda"]),
 }
-SINKS = {"and2": "", "and3": "", "and_or": "", "seq2": "b", "seq3": "ac", "or_seq": "ad"}
+SINKS = dict.fromkeys(EXPECTED, "") | {"seq2": "b", "seq3": "ac", "or_seq": "ad", "seq2_back": "a"}
 STATES = {"and2": 4, "and3": 8, "and_or": 4, "seq2": 4, "seq3": 5, "or_seq": 5}
+STATES |= {"one": 2, "or2": 2, "seq2_back": 4, "and4": 16}
 
 
-def test_there_are_the_six_templates_of_the_paper():
+def test_there_are_the_six_templates_of_the_paper_and_the_nine_of_its_authors_code():
     assert list(TEMPLATES) == list(EXPECTED)
-    assert [template.arity for template in TEMPLATES.values()] == [2, 3, 3, 2, 3, 4]
+    assert [TEMPLATES[name].arity for name in PAPER_TEMPLATES] == [2, 3, 3, 2, 3, 4]
+    assert [TEMPLATES[name].arity for name in AUTHORS_TEMPLATES] == [1, 2, 2, 2, 2, 3, 3, 4, 4]
     assert [name for name, template in TEMPLATES.items() if template.name != name] == []
 
 
@@ -59,6 +65,13 @@ def test_or_seq_needs_the_brackets_that_the_papers_listing_omits():
     assert ours.steps_to_accept[ours.initial] == 3
 
 
+def test_the_authors_order_of_three_is_seq3_without_a_clause_that_says_nothing_new():
+    theirs = build_automaton("(!b U a) & (!c U b) & F c", ["a", "b", "c"])
+    ours = build_automaton(make_formula("seq3", ["a", "b", "c"]), ["a", "b", "c"])
+    assert theirs.transitions.tolist() == ours.transitions.tolist()
+    assert theirs.accepting.tolist() == ours.accepting.tolist()
+
+
 def test_make_formula_puts_the_objects_in_order():
     assert make_formula("seq2", ["Mug", "RemoteControl"]) == "(!RemoteControl U Mug) & F RemoteControl"
 
@@ -66,7 +79,7 @@ def test_make_formula_puts_the_objects_in_order():
 @pytest.mark.parametrize(
     ("template", "objects", "message"),
     [
-        ("and4", ["Mug"], "unknown template 'and4'; allowed: and2, and3, and_or, seq2, seq3, or_seq"),
+        ("and5", ["Mug"], "unknown template 'and5'; allowed: and2, and3, and_or, seq2, seq3, or_seq, one"),
         ("and2", ["Mug"], r"template 'and2' \(a and b\) takes 2 objects, not 1: Mug"),
         ("and2", [], "takes 2 objects, not 0: none"),
         ("seq2", ["Mug", "Mug"], "object name 'Mug' is given twice"),

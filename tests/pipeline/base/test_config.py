@@ -129,3 +129,33 @@ def test_model_kinds_and_training_options_fit_the_library() -> None:
 def test_content_hash_depends_on_values_not_on_order() -> None:
     assert content_hash({"a": 1, "b": [2]}) == content_hash({"b": [2], "a": 1})
     assert content_hash({"a": 1}) != content_hash({"a": 2})
+
+
+def test_a_variant_has_its_planners_options_but_for_its_own() -> None:
+    variant = "+planner_variants.still={planner: pouct, options: {reassign: free}}"
+    config = make(variant, "evaluation.planners=[pouct,still]", "planner.pouct.samples=7")
+    assert config.planner_options("still") == config.planner_options("pouct") | {"reassign": "free"}
+    assert (config.planner_behind("still"), config.planner_behind("pouct")) == ("pouct", "pouct")
+    with pytest.raises(UserError, match=r"planner_variants.greedy: is a planner's own name"):
+        make("+planner_variants.greedy={planner: pouct, options: {}}")
+    with pytest.raises(UserError, match=r"planner_variants.still: planner 'pouct' refuses its options.*pace"):
+        make("+planner_variants.still={planner: pouct, options: {pace: 3}}")
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("evaluation.unsearched_share=[0.8,0.5]", "give the least share first"),
+        ("evaluation.unsearched_share=[0.5,1.5]", "at most 1"),
+        ("evaluation.cost=energy", "allowed: 'makespan', 'least_motion'"),
+        ("map.ways=scenic", "allowed: 'shortest', 'soft'"),
+        ("evaluation.homes.order=random", "allowed: 'shuffled', 'file'"),
+        ("planner.learned_myopic.reassign=none", "reassign must be 'all' or 'free', not 'none'"),
+        ("planner.greedy.reassign=none", "reassign must be 'all' or 'free', not 'none'"),
+        ("planner.learned_myopic.return_to_known=never", "return_to_known must be 'at_once' or 'when_complete'"),
+    ],
+)
+def test_protocol_switches_say_what_they_allow(override: str, said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        make(override)
+    assert said in str(caught.value)

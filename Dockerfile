@@ -1,0 +1,16 @@
+# docker build -t mrtask . && docker run --rm --shm-size=2g -v "$PWD/outputs:/mrtask/outputs" mrtask reproduce EXPERIMENT=smoke
+FROM python:3.11-slim
+
+RUN apt-get update && apt-get install --yes --no-install-recommends make && rm -rf /var/lib/apt/lists/*
+
+# The CPU's torch: PyPI's own wheel for Linux brings gigabytes of CUDA libraries along.
+ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
+    PIP_NO_CACHE_DIR=1
+
+WORKDIR /mrtask
+
+COPY . .
+RUN make install
+
+ENTRYPOINT ["make", "--no-print-directory"]
+CMD ["reproduce", "EXPERIMENT=smoke"]

@@ -1,0 +1,240 @@
+"""The POUCT of pomdp-py beside ours, on the frozen suite's single-robot trials, with the same time for each decision.
+
+    pip install pomdp-py && python benchmarks/bench_peers.py --trials 12 --seconds 0.2
+
+pomdp-py (Zheng and Tellex 2020) searches the problem as its user would write it down: a state is the robot's place, the
+task's state, what was searched and what lies where; an action is a container; an observation is what a search shows.
+Its root belief is drawn from ours, conditioned on every object existing, so both know the same. Rollouts are random,
+over containers that can still help. Ours runs with a time limit instead of a number of samples.
+"""
+
+import argparse
+import random
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mrtask.execution.episode import run_episode, warm_up
+from mrtask.execution.trials import Trial
+from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import Assignment, Plan, PlanInfo, PlanningProblem, safe
+from mrtask.suite.frozen import load_suite
+
+try:
+    import pomdp_py
+except ImportError as error:
+    raise SystemExit("pomdp-py is needed for this comparison: pip install pomdp-py") from error
+
+WORLDS = 1000
+MAX_TRIES = 1000
+MANY_SAMPLES = 10**8
+MANY_NODES = 10**6
+
+
+class Where(pomdp_py.State):
+    """``place`` (-1: the start), the automaton's ``task`` state, ``searched`` containers and what each ``holds``."""
+
+    def __init__(self, place: int, task: int, searched: frozenset[int], holds: tuple[int, ...]) -> None:
+        self.key = (place, task, searched, holds)
+        self.place, self.task, self.searched, self.holds = self.key
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Where) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+class GoTo(pomdp_py.Action):
+    """Go to a container, search it, and interact with what advances the task there."""
+
+    def __init__(self, container: int) -> None:
+        self.container = container
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, GoTo) and self.container == other.container
+
+    def __hash__(self) -> int:
+        return self.container
+
+
+class Seen(pomdp_py.Observation):
+    """The task objects in the container, as a bit mask."""
+
+    def __init__(self, objects: int) -> None:
+        self.objects = objects
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Seen) and self.objects == other.objects
+
+    def __hash__(self) -> int:
+        return self.objects
+
+
+class Domain:
+    """The problem's dynamics, the same as the simulation's for one robot."""
+
+    def __init__(self, problem: PlanningProblem) -> None:
+        self.problem, self.automaton = problem, problem.automaton
+        self.safe = safe(problem.automaton)
+        self.from_start_s = problem.robots[0].travel_s
+        self.reachable = np.flatnonzero(np.isfinite(self.from_start_s)).tolist()
+
+    def travel_s(self, place: int, container: int) -> float:
+        ways_s = self.from_start_s if place < 0 else self.problem.travel_s[place]
+        return float(ways_s[container])
+
+    def after(self, state: Where, action: GoTo) -> Where:
+        if self.automaton.accepting[state.task]:
+            return state
+        container, task = action.container, state.task
+        while True:
+            here = [obj for obj in range(self.safe.shape[1]) if state.holds[container] >> obj & 1]
+            advancing = [obj for obj in here if self.safe[task, obj]]
+            if not advancing:
+                return Where(container, task, state.searched | {container}, state.holds)
+            task = int(self.automaton.transitions[task, advancing[0]])
+
+    def choices(self, state: Where) -> list[GoTo]:
+        """Containers nobody has searched, and those known to hold what advances the task."""
+        return [
+            GoTo(container)
+            for container in self.reachable
+            if container != state.place
+            and (
+                container not in state.searched
+                or any(state.holds[container] >> obj & 1 for obj in np.flatnonzero(self.safe[state.task]))
+            )
+        ] or [GoTo(self.reachable[0])]
+
+    def worlds(self, rng: np.random.Generator) -> Iterable[Where]:
+        """States drawn from the belief, in which every object is somewhere."""
+        probs = self.problem.presence_prob.copy()
+        probs[[container for container in range(len(probs)) if container not in self.reachable]] = 0.0
+        searched = frozenset(np.flatnonzero(self.problem.searched).tolist())
+        bits = 1 << np.arange(probs.shape[1])
+        for _ in range(WORLDS):
+            there = rng.random(probs.shape) < probs
+            for obj in range(probs.shape[1]):
+                for _ in range(MAX_TRIES):
+                    if there[:, obj].any():
+                        break
+                    there[:, obj] = rng.random(len(probs)) < probs[:, obj]
+            holds = tuple(int(row) for row in (there * bits).sum(axis=1))
+            yield Where(-1, self.problem.state, searched, holds)
+
+
+class Transition(pomdp_py.TransitionModel):
+    """What an action leads to."""
+
+    def __init__(self, domain: Domain) -> None:
+        self.domain = domain
+
+    def sample(self, state: Where, action: GoTo) -> Where:
+        return self.domain.after(state, action)
+
+
+class Observing(pomdp_py.ObservationModel):
+    """What is seen there."""
+
+    def sample(self, next_state: Where, action: GoTo) -> Seen:
+        return Seen(next_state.holds[action.container])
+
+
+class Reward(pomdp_py.RewardModel):
+    """Minus the seconds that an action takes."""
+
+    def __init__(self, domain: Domain) -> None:
+        self.domain = domain
+
+    def sample(self, state: Where, action: GoTo, next_state: Where) -> float:
+        if self.domain.automaton.accepting[state.task]:
+            return 0.0
+        return -self.domain.travel_s(state.place, action.container)
+
+
+class Choices(pomdp_py.RolloutPolicy):
+    """Which actions there are, and a random one."""
+
+    def __init__(self, domain: Domain) -> None:
+        self.domain = domain
+
+    def get_all_actions(self, state: Where, history: Any = None) -> list[GoTo]:
+        return self.domain.choices(state)
+
+    def sample(self, state: Where) -> GoTo:
+        return random.choice(self.get_all_actions(state))
+
+    def rollout(self, state: Where, history: Any = None) -> GoTo:
+        return random.choice(self.get_all_actions(state))
+
+
+class PomdpPy:
+    """pomdp-py's POUCT as a planner of mrtask for one robot."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        random.seed(seed)
+        began_s = time.perf_counter()
+        domain = Domain(problem)
+        belief = pomdp_py.Particles(list(domain.worlds(np.random.default_rng(seed))))
+        agent = pomdp_py.Agent(belief, Choices(domain), Transition(domain), Observing(), Reward(domain))
+        ways_s = domain.from_start_s[domain.reachable]
+        search = pomdp_py.POUCT(
+            max_depth=len(domain.reachable) + 2,
+            planning_time=max(self.seconds - (time.perf_counter() - began_s), 0.01),
+            discount_factor=1.0,
+            exploration_const=float(ways_s.mean()),
+            rollout_policy=agent.policy_model,
+        )
+        chosen = search.plan(agent)
+        info = PlanInfo(time.perf_counter() - began_s, samples=int(search.last_num_sims))
+        return Plan({0: Assignment(chosen.container)}, info)
+
+
+def main() -> None:
+    """Prints mean costs on the same trials."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=0.2, help="for each decision")
+    options = parser.parse_args()
+    suite = load_suite()
+    single = [trial for trial in suite.trials if trial.team.robots == 1]
+    chosen = single[:: max(1, len(single) // options.trials)][: options.trials]
+    planners = {
+        "pomdp-py POUCT": PomdpPy(options.seconds),
+        "pouct": make_planner(
+            "pouct", {"samples": MANY_SAMPLES, "time_limit_s": options.seconds, "max_nodes": MANY_NODES}
+        ),
+        "greedy": make_planner("greedy"),
+        "learned_myopic": make_planner("learned_myopic"),
+    }
+    warm_up(*_arguments(chosen[0]), "pouct")
+    rows = []
+    for trial in chosen:
+        for name, planner in planners.items():
+            result = run_episode(*_arguments(trial), name, planner=planner)
+            rows.append({"planner": name, "trial": trial.trial_id, **vars(result)})
+            print(f"{trial.trial_id} {name}: {result.status} {result.cost_s}", flush=True)
+    frame = pd.DataFrame(rows)
+    per_decision = (
+        frame.groupby("planner")[["planning_s", "samples"]]
+        .sum()
+        .div(frame.groupby("planner")["decisions"].sum(), axis=0)
+    )
+    print(frame.groupby("planner")["cost_s"].agg(["count", "mean"]).join(per_decision).sort_values("mean").round(3))
+
+
+def _arguments(trial: Trial) -> tuple[Any, ...]:
+    suite = load_suite()
+    home = suite.homes[trial.home_id]
+    return trial, home, suite.map_of(home.id), suite.table.matrix(home, trial.objects)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+#!/bin/bash
+# Runs an evaluation on a Ray cluster made of a Slurm job's nodes.
+#   sbatch docs/clusters/slurm.sh experiment=paper output_dir=/shared/outputs/paper
+# MRTASK_VENV: an environment with mrtask[pipeline] that all nodes see.
+#SBATCH --job-name=mrtask
+#SBATCH --nodes=4
+#SBATCH --ntasks-per-node=1
+#SBATCH --exclusive
+#SBATCH --time=02:00:00
+
+set -euo pipefail
+source "${MRTASK_VENV:-.venv}/bin/activate"
+
+head=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | head -n 1)
+address=$(getent hosts "$head" | awk '{ print $1; exit }'):6379
+
+# The head leads and plans too; the others join it. Each `ray start --block` ends with the job.
+srun --nodes=1 --ntasks=1 --nodelist="$head" \
+    ray start --head --node-ip-address="${address%:*}" --port=6379 --block &
+sleep 15
+if [ "$SLURM_JOB_NUM_NODES" -gt 1 ]; then
+    srun --nodes=$((SLURM_JOB_NUM_NODES - 1)) --ntasks=$((SLURM_JOB_NUM_NODES - 1)) --exclude="$head" \
+        ray start --address="$address" --block &
+    sleep 15
+fi
+
+mrtask evaluate cluster=existing cluster.address="$address" "$@"

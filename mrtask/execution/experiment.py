@@ -1,0 +1,133 @@
+"""A whole comparison in one process: planners on the same trials, and their episodes as a table.
+
+For programs and notebooks that use mrtask as a library. Trials, seeds and columns are those of the pipeline, which adds
+many workers, continuation and the report.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mrtask.execution.episode import EpisodeResult, run_episode
+from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
+from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.table import build_table
+from mrtask.maps.cache import cached_map
+from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
+
+
+class Plans(Protocol):
+    """The least that a planner must have."""
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """The team's assignments."""
+        ...
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One more episode has ended: the ``done``-th of ``total``."""
+
+    done: int
+    total: int
+    trial: Trial
+    result: EpisodeResult
+
+
+Named = Sequence[str] | Mapping[str, Plans]
+"""Planners of the table by name, or any planners under names of one's own."""
+
+
+def run_experiment(
+    homes: Sequence[Home],
+    planners: Named,
+    likelihood: LikelihoodModel,
+    *,
+    robots: Sequence[int] = (1, 2, 3),
+    trials_per_cell: int = 10,
+    seed: int = 0,
+    options: TrialOptions | None = None,
+    cache_dir: Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> pd.DataFrame:
+    """One row per (trial, planner), with the ``trace`` of each episode as a `Trace`.
+
+    Args:
+        homes: the homes to evaluate on; trials are made for every size class among them. None of them should be known
+            to the likelihood from training.
+        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name of your
+            own to a planner. A planner's random seeds depend on that name.
+        likelihood: where objects are thought to be.
+        trials_per_cell: trials for each size class and team size.
+        cache_dir: a folder that keeps maps from one call to the next.
+
+    Raises:
+        ValueError: an unknown planner, a plan that cannot be carried out, or no home with enough objects.
+    """
+    chosen = _planners(planners)
+    known = {home.id: home for home in homes}
+    table = build_table(likelihood, homes, options.formula_objects if options else ())
+    map_of = lru_cache(maxsize=None)(lambda home_id: cached_map(known[home_id], cache_dir))
+    sizes = [name for name in SIZE_CLASSES if any(home.size_class == name for home in homes)]
+    cells = [(size, team) for size in sizes for team in robots]
+    orders = {cell: home_order(homes, *cell, seed) for cell in cells}
+    rows: list[dict[str, Any]] = []
+    total = trials_per_cell * len(cells) * len(chosen)
+    for number in range(trials_per_cell):
+        for cell in cells:
+            trial = sample_trial(*cell, number, orders[cell], lambda home: map_of(home.id), seed=seed, options=options)
+            home = known[trial.home_id]
+            probs = table.matrix(home, trial.objects)
+            for result in _episodes(trial, home, map_of(home.id), probs, chosen):
+                rows.append(episode_row(trial, home, result))
+                if on_progress is not None:
+                    on_progress(Progress(len(rows), total, trial, result))
+    return pd.DataFrame(rows)
+
+
+def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, Any]:
+    """An episode as a row of a table."""
+    return {
+        "trial_id": trial.trial_id,
+        "home_id": home.id,
+        "home_source": home.source,
+        "size_class": trial.size_class,
+        "robots": trial.team.robots,
+        "template": trial.template,
+        "formula": trial.formula,
+        "objects": list(trial.objects),
+        "planner": result.planner,
+        "status": result.status,
+        "cost_s": result.cost_s,
+        "cost_cells": result.cost_cells,
+        "decisions": result.decisions,
+        "planning_s": result.planning_s,
+        "samples": result.samples,
+        "seed": trial.seed,
+        "error": result.error,
+        "trace": result.trace,
+    }
+
+
+def _planners(planners: Named) -> dict[str, Planner]:
+    if not isinstance(planners, Mapping):
+        return {name: make_planner(name) for name in planners}
+    return {
+        name: planner if isinstance(planner, Planner) else PlanOnly(planner.plan) for name, planner in planners.items()
+    }
+
+
+def _episodes(
+    trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], planners: Mapping[str, Planner]
+) -> Iterator[EpisodeResult]:
+    for name, planner in planners.items():
+        yield run_episode(trial, home, home_map, likelihood, name, planner=planner)

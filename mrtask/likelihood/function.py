@@ -1,0 +1,51 @@
+"""A likelihood of a user's own: any function of three names."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mrtask.errors import InputError
+from mrtask.likelihood.model import check_names, clip_probs
+from mrtask.likelihood.rows import TRIPLE
+
+
+@dataclass(frozen=True)
+class FunctionModel:
+    """``function(object, container, room)`` is the probability that such a container holds the object.
+
+    It is asked once for each distinct triple, in the order in which they come.
+    """
+
+    function: Callable[[str, str, str], float]
+
+    @property
+    def kind(self) -> str:
+        """``function``."""
+        return "function"
+
+    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``.
+
+        Raises:
+            InputError: the function gave something that is no probability.
+        """
+        check_names(names)
+        known: dict[tuple[str, str, str], float] = {}
+        for triple in names[TRIPLE].itertuples(index=False, name=None):
+            if triple not in known:
+                known[triple] = self._ask(triple)
+        return clip_probs(np.array([known[triple] for triple in names[TRIPLE].itertuples(index=False, name=None)]))
+
+    def save(self, folder: Path) -> None:
+        """A function cannot be stored; raises ``InputError``."""
+        raise InputError("a likelihood given as a function cannot be saved; keep a `build_table` of it instead")
+
+    def _ask(self, triple: tuple[str, str, str]) -> float:
+        prob = float(self.function(*triple))
+        if not 0.0 <= prob <= 1.0:
+            raise InputError(f"the likelihood of {' in '.join(triple)} must lie in [0, 1], the function gave {prob}")
+        return prob

@@ -1,0 +1,98 @@
+"""The card of a planner's score: what to quote, beside ours on the same trials."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mrtask.analysis.statistics import Estimate, compare, paired_costs
+from mrtask.planning.planners import Role, planner_role, planners_in_order
+
+BASELINES = ("nonlearned_myopic", "learned_myopic")
+PROFILE_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0)
+"""A planner's profile: on which share of the trials its cost is at most so many times the best of all planners."""
+SAME_COST = 1 + 1e-9
+
+
+def render_card(
+    planner: str, options: Mapping[str, Any], episodes: pd.DataFrame, recorded: pd.DataFrame, suite: str
+) -> str:
+    """The card as text.
+
+    Args:
+        episodes: the planner's rows, `mrtask.suite.score.COLUMNS`.
+        recorded: rows of our planners on the same trials; those of a planner of the same name give way to the new.
+    """
+    together = pd.concat([recorded[recorded["planner"] != planner], episodes], ignore_index=True)
+    costs = paired_costs(together)
+    profiles = _profiles(costs)
+    names = planners_in_order(costs.columns)
+    given = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
+    lines = [
+        f"{planner} ({given}) on {suite}: {len(episodes)} trials",
+        "",
+        f"{'':22} {'finished':>8} {'mean s':>8}  {'% below nonlearned':>20}  {'% below learned':>20}",
+    ]
+    for name in names:
+        finished = costs[name].notna()
+        lines.append(
+            f"{_marked(name, planner)} {int(finished.sum()):>8} {costs[name].mean():>8.3f}  "
+            + "  ".join(f"{_improvement(costs, name, baseline):>20}" for baseline in BASELINES)
+        )
+    header = " ".join(f"{f'{factor:g}x':>6}" for factor in PROFILE_FACTORS)
+    lines += ["", f"{'within, of the best:':22} {header}"]
+    lines += [
+        f"{_marked(name, planner)} " + " ".join(f"{share:>6.1%}" for share in profiles[name])
+        for name in names
+        if name in profiles
+    ]
+    lines += ["", "by class and team: mean s, % below learned_myopic"]
+    for (size_class, robots), cell in episodes.groupby(["size_class", "robots"], sort=False):
+        part = costs.loc[cell["trial_id"]]
+        lines.append(
+            f"  {size_class:7} {robots} robots: {part[planner].mean():>8.3f}  "
+            f"{_improvement(part, planner, 'learned_myopic')}"
+        )
+    if (unfinished := int(costs[planner].isna().sum())) > 0:
+        note = "trials were not finished: means and improvements leave them out, the profile does not"
+        lines += ["", f"{unfinished} {note}"]
+    return "\n".join(lines)
+
+
+def planning_text(episodes: pd.DataFrame) -> str:
+    """How long planning took; of this machine, hence no part of the score."""
+    decisions = episodes["decisions"].sum()
+    mean_ms = 1000 * episodes["planning_s"].sum() / max(decisions, 1)
+    worst_ms = 1000 * (episodes["planning_s"] / episodes["decisions"].clip(lower=1)).max()
+    return (
+        f"planning here: {mean_ms:.2f} ms a decision on average, {worst_ms:.2f} ms in the slowest episode, "
+        f"{decisions} decisions"
+    )
+
+
+def _marked(name: str, scored: str) -> str:
+    short = name.rsplit(".", 1)[-1]
+    return f"{'> ' if name == scored else '  '}{short[:20]:20}"
+
+
+def _improvement(costs: pd.DataFrame, planner: str, baseline: str) -> str:
+    if planner == baseline or baseline not in costs:
+        return "-"
+    return _text(compare(costs[planner].to_numpy(), costs[baseline].to_numpy()).improvement)
+
+
+def _text(estimate: Estimate) -> str:
+    if not estimate.defined:
+        return "-"
+    interval = f" [{estimate.low:.1f}, {estimate.high:.1f}]" if estimate.has_interval else ""
+    return f"{estimate.value:.1f}{interval}"
+
+
+def _profiles(costs: pd.DataFrame) -> dict[str, list[float]]:
+    """Performance profiles (Dolan and Moré 2002) of all planners that do not know where everything is."""
+    fair = [name for name in costs.columns if planner_role(name) is not Role.BOUND]
+    best = costs[fair].min(axis=1)
+    ratios = costs[fair].div(best.where(best > 0), axis=0).where(best > 0, costs[fair].add(1.0))
+    ratios = ratios.fillna(np.inf)
+    return {name: [float((ratios[name] <= factor * SAME_COST).mean()) for factor in PROFILE_FACTORS] for name in fair}

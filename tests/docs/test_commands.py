@@ -1,0 +1,206 @@
+"""Every command and program that README and the documentation print can be run as it stands.
+
+Python blocks are executed. Commands are read by a shell; what they call exists, and every line of Hydra overrides is
+composed and checked by the schema, as the stage does before any work. What cannot be run here is marked in the text,
+``<!-- not run: why -->``. That the stages then work is for their own tests.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from omegaconf import OmegaConf
+
+from mrtask.cli import STAGES
+from mrtask.suite.score import Request
+from pipeline.app.main import CONF_DIR, _for_hydra
+from pipeline.base.config import load
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "datasets" / "README.md"])
+FENCE = re.compile(
+    r"(?:<!-- not run: (?P<why>[^>]+) -->\n)?^(?P<indent> *)```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^ *```$",
+    re.MULTILINE | re.DOTALL,
+)
+ELSEWHERE = {
+    "pip",
+    "git",
+    "docker",
+    "kubectl",
+    "sbatch",
+    "srun",
+    "ray",
+    "cd",
+    "export",
+    "duckdb",
+    "ls",
+    "open",
+    "python3",
+}
+"""Commands of others; what they are given is not ours to check."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+    not_run: str | None
+
+
+def blocks() -> Iterator[Block]:
+    for path in PAGES:
+        content = path.read_text()
+        for found in FENCE.finditer(content):
+            line = content[: found.start()].count("\n") + 1
+            text = re.sub(rf"^{found['indent']}", "", found["text"], flags=re.MULTILINE)
+            yield Block(path.relative_to(ROOT).as_posix(), line, found["language"], text, found["why"])
+
+
+BLOCKS = list(blocks())
+
+
+def of(*languages: str) -> list[pytest.param]:  # type: ignore[valid-type]
+    chosen = [block for block in BLOCKS if block.language in languages and block.not_run is None]
+    return [pytest.param(block, id=f"{block.page}:{block.line}") for block in chosen]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _configuration() -> Iterator[None]:
+    for name in ("default_cache_dir", "stage_name", "stage_help"):
+        OmegaConf.register_new_resolver(name, lambda: "/none", replace=True)
+    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        yield
+
+
+def test_every_block_says_what_it_is() -> None:
+    known = {"bash", "python", "yaml", "text", "toml", "dockerfile"}
+    assert [(block.page, block.line) for block in BLOCKS if block.language not in known] == []
+    assert len([block for block in BLOCKS if block.language in ("bash", "python")]) > 20
+
+
+@pytest.mark.usefixtures("homes_made_once")
+@pytest.mark.parametrize("block", of("python"))
+def test_programs_run(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block.text, f"{block.page}:{block.line}", "exec"), {"__name__": "documentation"})
+
+
+@pytest.mark.parametrize("block", of("yaml"))
+def test_yaml_is_yaml(block: Block) -> None:
+    assert list(yaml.safe_load_all(block.text))
+
+
+@pytest.mark.parametrize("block", of("bash"))
+def test_commands_are_understood(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = list(_commands(block.text, tmp_path))
+    assert commands
+    for command in commands:
+        _check(command, tmp_path)
+
+
+def _commands(script: str, folder: Path) -> Iterator[list[str]]:
+    """What a shell would run, one command after the other, with its arguments as the shell leaves them."""
+    called = sorted({word for word in re.findall(r"[\w./-]+", script) if re.fullmatch(r"[a-z][\w-]*", word)})
+    log = folder / "calls"
+    functions = "".join(
+        f'{name}() {{ printf "%s\\0" {name} "$@" >>"{log}"; printf "\\1\\0" >>"{log}"; }}\n'
+        for name in called
+        if name in {"make", "python", "mrtask", *ELSEWHERE} - {"export"}
+    )
+    done = subprocess.run(
+        ["bash", "-euc", f"{functions}{script}"], cwd=folder, capture_output=True, text=True, env=_environment()
+    )
+    assert done.returncode == 0, done.stderr
+    assert "command not found" not in done.stderr, done.stderr
+    call: list[str] = []
+    for word in log.read_text().split("\0")[:-1]:
+        if word == "\1":
+            yield call
+            call = []
+        else:
+            call.append(word)
+
+
+def _environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != "BASH_ENV"}
+
+
+def _check(command: list[str], folder: Path) -> None:
+    program, *arguments = command
+    if program == "make":
+        _check_make(arguments, folder)
+    elif program == "mrtask" and arguments[0] in STAGES:
+        _check_overrides(arguments[1:])
+    elif program == "mrtask" and arguments[0] == "score":
+        Request.parse(arguments[1:])
+    elif program == "mrtask":
+        assert arguments == ["doctor"]
+    elif program == "python" and arguments[0] == "-m" and arguments[1].startswith("pipeline."):
+        assert arguments[1].removeprefix("pipeline.") in STAGES
+        _check_overrides(arguments[2:])
+    elif program == "python" and arguments[0].endswith(".py"):
+        assert (ROOT / arguments[0]).is_file(), arguments[0]
+        flags = {one for one in arguments if one.startswith("--")}
+        assert all(flag in (ROOT / arguments[0]).read_text() for flag in flags)
+    elif program == "python" and arguments[0] == "-c":
+        names = re.match(r"from (\S+) import (\w+)", arguments[1])
+        assert names and hasattr(__import__(f"{names[1]}.{names[2]}", fromlist=["x"]), "set_champion")
+        compile(arguments[1], "-c", "exec")
+    elif program == "python":
+        assert arguments[:2] == ["-m", "pytest"] and all((ROOT / one).exists() for one in arguments[2:3]), command
+    else:
+        assert program in ELSEWHERE, f"unknown command {program}; mark the block `<!-- not run: why -->`"
+
+
+def _check_make(arguments: list[str], folder: Path) -> None:
+    """The target is there, and its recipe is one of the commands above."""
+    (folder / ".installed").touch()
+    dry = subprocess.run(
+        ["make", "-n", f"VENV={folder}", *arguments], cwd=ROOT, capture_output=True, text=True, env=_environment()
+    )
+    assert dry.returncode == 0, dry.stderr
+    for line in dry.stdout.splitlines():
+        if " -m pipeline.reproduce" in line:
+            _check_overrides(shlex.split(line)[3:])
+
+
+def _check_overrides(arguments: list[str]) -> None:
+    arguments = [_for_hydra(one) for one in arguments if one not in ("-m", "--help", "--cfg", "job", "--dry-run")]
+    overrides = OverridesParser.create().parse_overrides(arguments)
+    load(compose("config", [_first(override) for override in overrides]))
+
+
+def _first(override: Override) -> str:
+    """Of a sweep its first value."""
+    if not override.is_sweep_override():
+        return str(override.input_line)
+    return f"{override.key_or_group}={next(iter(override.sweep_string_iterator()))}"
+
+
+def test_the_files_for_clusters_are_well_formed(tmp_path: Path) -> None:
+    script = ROOT / "docs" / "clusters" / "slurm.sh"
+    assert subprocess.run(["bash", "-n", str(script)], capture_output=True).returncode == 0
+    command = next(line for line in script.read_text().splitlines() if line.startswith("mrtask evaluate "))
+    _check_overrides([one.replace("$address", "10.0.0.1:6379") for one in shlex.split(command)[2:] if one != "$@"])
+    job = yaml.safe_load((ROOT / "docs" / "clusters" / "kuberay.yaml").read_text())
+    program, stage, *overrides = job["spec"]["entrypoint"].split()
+    assert (program, stage) == ("mrtask", "evaluate")
+    _check_overrides(overrides)
+    groups = [job["spec"]["rayClusterSpec"]["headGroupSpec"], *job["spec"]["rayClusterSpec"]["workerGroupSpecs"]]
+    images = {group["template"]["spec"]["containers"][0]["image"] for group in groups}
+    assert len(images) == 1  # one version of mrtask everywhere

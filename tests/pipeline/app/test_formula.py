@@ -1,0 +1,72 @@
+"""A formula as a person types it: in the shell, inside make's ARGS, in a file."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from pipeline.app.main import CONF_DIR, _for_hydra
+from pipeline.base.config import Config, UserError, load
+
+ROOT = Path(__file__).resolve().parents[3]
+FORMULA = "F Mug & (!Laptop U Book)"
+
+
+@pytest.fixture(autouse=True)
+def _resolvers() -> None:
+    for name in ("default_cache_dir", "stage_name", "stage_help"):
+        OmegaConf.register_new_resolver(name, lambda: "/none", replace=True)
+    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
+
+
+def make(*arguments: str) -> Config:
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        return load(compose("config", [_for_hydra(argument) for argument in arguments]))
+
+
+def arguments_of(command: str, folder: Path) -> list[str]:
+    """What ``python`` is called with in a shell, one argument a line."""
+    python = folder / "bin" / "python"
+    python.parent.mkdir()
+    python.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    python.chmod(0o755)
+    (folder / ".installed").touch()
+    shell = ["bash", "-c", f'PATH="{python.parent}:$PATH"; {command} VENV="{folder}"']
+    return subprocess.run(shell, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        f"python -m pipeline.evaluate evaluation.formula='{FORMULA}'",
+        f"""make reproduce ARGS='evaluation.formula="{FORMULA}"'""",
+        f"""make reproduce ARGS="evaluation.formula='{FORMULA}' seed=3" """,
+    ],
+)
+def test_the_shells_quotes_are_enough(command: str, tmp_path: Path) -> None:
+    arguments = [one for one in arguments_of(command, tmp_path) if one.startswith(("evaluation", "seed"))]
+    assert make(*arguments).evaluation.formula == FORMULA
+
+
+@pytest.mark.parametrize("given", [f"'{FORMULA}'", f'"{FORMULA}"', FORMULA, f"  {FORMULA} "])
+def test_quotes_for_hydra_are_not_needed_and_do_no_harm(given: str) -> None:
+    assert make(f"evaluation.formula={given}").evaluation.formula == FORMULA
+
+
+def test_no_formula_and_other_keys_are_left_alone() -> None:
+    assert make("evaluation.formula=null").evaluation.formula is None
+    assert _for_hydra("evaluation.formula_file=a,b") == "evaluation.formula_file=a,b"
+    assert _for_hydra("planner.pouct.samples=1,2") == "planner.pouct.samples=1,2"
+    assert _for_hydra("evaluation.formula=F a & F b,F c") == "evaluation.formula='F a & F b','F c'"
+
+
+def test_a_formula_comes_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "task.ltl"
+    path.write_text(FORMULA.replace(" & ", " &\n  ") + "\n")
+    assert make(f"evaluation.formula_file={path}").evaluation.formula == FORMULA
+    with pytest.raises(UserError, match="not both"):
+        make(f"evaluation.formula_file={path}", "evaluation.formula=F Mug")
+    with pytest.raises(UserError, match=r"evaluation\.formula_file=.*nowhere: cannot be read"):
+        make(f"evaluation.formula_file={tmp_path / 'nowhere'}")

@@ -1,0 +1,93 @@
+"""The ablation: which arms share an evaluation, and one in small from the command line."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from pipeline.ablation import AUTHORS, PAPER, lay_out, protocols
+from pipeline.app.main import CONF_DIR
+from pipeline.base.config import Arm, Config, UserError, load
+from tests.pipeline.harness import Cli, Workspace
+
+PATIENT = "planner.nonlearned_myopic.return_to_known=when_complete"
+PART_KNOWN = "'evaluation.unsearched_share=[0.5,1.0]'"
+SWITCHES = (
+    f"ablation.switches=[{{name: patient, overrides: '{PATIENT}'}}, {{name: part known, overrides: {PART_KNOWN}}}]"
+)
+STEPS = "ablation.steps=[{name: first, overrides: 'planner.pouct_paper.exploration=0.7'}]"
+
+
+def make(*overrides: str) -> Config:
+    for name in ("default_cache_dir", "stage_name", "stage_help"):
+        OmegaConf.register_new_resolver(name, lambda: "/cache", replace=True)
+    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        return load(compose("config", list(overrides)))
+
+
+def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_planners() -> None:
+    config = make(SWITCHES, STEPS)
+    names = [arm.name for arm in protocols(config.ablation)]
+    assert names == [
+        PAPER,
+        "paper + patient",
+        "paper + part known",
+        AUTHORS,
+        "authors - patient",
+        "authors - part known",
+        "step: first",
+    ]
+    whole, part = lay_out(config)
+    assert [arm.name for arm, _ in whole.arms] == [PAPER, "paper + patient", "authors - part known", "step: first"]
+    assert [arm.name for arm, _ in part.arms] == ["paper + part known", AUTHORS, "authors - patient"]
+    # Four planners, one more for the patient baseline and one for the step.
+    assert len(whole.variants) == 6 and len(part.variants) == 5
+    by_arm = {arm.name: chosen for arm, chosen in whole.arms}
+    assert by_arm["paper + patient"]["pouct"] == by_arm[PAPER]["pouct"] == "pouct:paper"
+    assert by_arm["paper + patient"]["nonlearned_myopic"] == by_arm["authors - part known"]["nonlearned_myopic"]
+    assert by_arm["paper + patient"]["nonlearned_myopic"] != by_arm[PAPER]["nonlearned_myopic"]
+    configured = part.configured()
+    assert configured.evaluation.unsearched_share == (0.5, 1.0)
+    assert configured.evaluation.planners == tuple(part.variants)
+    assert configured.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
+    assert configured.output_dir != whole.configured().output_dir
+
+
+def test_all_switches_together_are_the_preset_authors() -> None:
+    """But for where homes and likelihoods come from."""
+    every = [override for switch in make().ablation.switches for override in switch.overrides]
+    switched, preset = make(*every), make("experiment=authors", "homes=generated", "model=similarity")
+    assert switched.evaluation == preset.evaluation
+    assert switched.map == preset.map
+    assert switched.planner == preset.planner
+
+
+def test_mistakes_in_arms_are_refused_before_any_work() -> None:
+    config = make(SWITCHES)
+    wrong = Arm(name="wrong", overrides=("evaluation.unsearched_share=[2,3]",))
+    with pytest.raises(UserError, match=r"ablation, arm paper \+ wrong: evaluation.unsearched_share"):
+        lay_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": (wrong,)})}))
+    twice = tuple(Arm(name=name, overrides=(PATIENT,)) for name in ("a b", "a-b"))
+    with pytest.raises(UserError, match="two arms are called"):
+        lay_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": twice})}))
+
+
+def test_an_ablation_runs_each_planner_once_and_shows_every_arm(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "ablation"
+    small = [one for one in workspace.overrides if not one.startswith("evaluation.planners")]
+    command = [*small, "planner.pouct_paper.samples=20", SWITCHES, STEPS, f"output_dir={out}"]
+    finished = cli("ablation", *command, cwd=workspace.path)
+    assert finished.code == 0, finished.err
+    page = (out / "report" / "index.html").read_text()
+    for name in ("paper", "paper + patient", "authors - part known", "step: first"):
+        assert name in page
+    frames = [pd.read_parquet(folder / "episodes") for folder in sorted((out / "runs").iterdir())]
+    assert sorted(len(frame) for frame in frames) == [5 * 12, 6 * 12]
+    assert all((frame["status"] == "accepted").all() for frame in frames)
+    again = cli("ablation", *command, cwd=workspace.path)
+    assert again.code == 0
+    kept = [pd.read_parquet(folder / "episodes") for folder in sorted((out / "runs").iterdir())]
+    assert all(one.equals(other) for one, other in zip(frames, kept, strict=True))
