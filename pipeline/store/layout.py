@@ -5,7 +5,7 @@ episodes/             the rows, `EpisodeRow`, as Parquet
 evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
-report/               index.html and table.csv, and `ReportKey` in manifest.json
+report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave

@@ -238,7 +238,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     with pytest.raises(OSError, match="disk full"):
         write_report(render_report(small(["greedy"]), {}, {}), tmp_path)
     assert (tmp_path / "index.html").read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "replays", "table.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "table.csv"]
 
 
 def test_same_input_same_bytes(tmp_path):
