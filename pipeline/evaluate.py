@@ -5,10 +5,14 @@ configuration is refused there (overwrite=true starts anew). dry_run=true says h
 """
 
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
+from mrtask.analysis.episodes import checked_episodes
+from mrtask.analysis.statistics import BASELINES, summarise
+from mrtask.analysis.style import planner_label
 from pipeline import homes, report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
@@ -24,7 +28,7 @@ from pipeline.store.folder import Folder, locked
 from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
 from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
-from pipeline.store.rows import EpisodeWriter, differences, read_table
+from pipeline.store.rows import EpisodeWriter, differences, read_episodes, read_table
 from pipeline.train import find_record
 
 
@@ -145,13 +149,22 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, store: tracking.T
 
 
 def _metrics(episodes: Folder) -> dict[str, float]:
-    """Mean cost and accepted share by planner and cell, for MLflow."""
-    rows = read_table(episodes, ["planner", "size_class", "robots", "status", "cost_cells"]).to_pandas()
+    """Accepted share, mean cost and improvements by planner and cell, with their 95 % intervals, for MLflow."""
+    summary = summarise(checked_episodes(read_episodes(episodes)))
     metrics = {}
-    for (planner, size_class, robots), cell in rows.groupby(["planner", "size_class", "robots"]):
-        name = f"{planner.rsplit('.', 1)[-1]}/{size_class}_{robots}"
-        metrics[f"{name}/cost_cells"] = cell["cost_cells"].mean()
-        metrics[f"{name}/accepted"] = (cell["status"] == "accepted").mean()
+    for cell in summary.cells:
+        for planner in summary.planners:
+            if (found := summary.planner_cells.get((cell, planner))) is None:
+                continue
+            name = f"{planner_label(planner)}/{cell[0]}_{cell[1]}"
+            metrics[f"{name}/accepted"] = found.accepted / found.episodes
+            estimates = {"cost_cells": found.cost_cells} | {
+                f"percent_better_than_{baseline}": summary.improvement(cell, planner, baseline)
+                for baseline in BASELINES
+            }
+            for what, estimate in estimates.items():
+                values = {"": estimate.value, "_low": estimate.low, "_high": estimate.high}
+                metrics |= {f"{name}/{what}{end}": value for end, value in values.items() if math.isfinite(value)}
     return metrics
 
 

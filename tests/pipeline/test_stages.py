@@ -79,7 +79,14 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
     assert runs["train"].inputs.dataset_inputs
     version = client.get_model_version_by_alias(tracking.MODEL_NAME, "champion").version
     assert str(version) == runs["evaluate"].data.tags["model_version"]
-    assert "pouct/small_1/cost_cells" in runs["evaluate"].data.metrics
+    metrics = runs["evaluate"].data.metrics
+    rows = pd.read_parquet(workspace.output_dir / "episodes").query("size_class == 'small' and robots == 1")
+    means = rows.groupby("planner")["cost_cells"].mean()
+    assert metrics["pouct/small_1/cost_cells"] == pytest.approx(means["pouct"])
+    assert metrics["pouct/small_1/percent_better_than_nonlearned_myopic"] == pytest.approx(
+        100 * (1 - means["pouct"] / means["nonlearned_myopic"])
+    )
+    assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
     assert client.list_artifacts(runs["evaluate"].info.run_id, "report")
 
 
