@@ -225,7 +225,7 @@ def test_the_socket_wants_its_token_and_listens_on_this_machine_alone(tmp_path: 
         (["team={r1: [50, 50]}"], "the nearest such place is"),
         (["team={}"], "team"),
         (["decide_by=known"], "knows all contents"),
-        (["speed=1"], "speed: no such key; did you mean speed_m_per_s?"),
+        (["speed_m_per=1"], "speed_m_per: no such key; did you mean speed_m_per_s?"),
         (["map=gone.yaml"], "no such file"),
         (["websocket=here"], "give a port or host:port"),
     ],
