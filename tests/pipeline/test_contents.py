@@ -18,7 +18,8 @@ from pipeline.store import voted_contents as module
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.voted_contents import voted_contents
 from tests.homes.made_up_votes import write, write_splits
-from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline import harness
+from tests.pipeline.harness import Cli
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
 from tests.pipeline.test_stages import homes_manifest
 
@@ -102,11 +103,12 @@ def test_the_split_is_that_of_the_homes_as_they_come(cli: Cli, tmp_path: Path) -
             assert {new_layouts[home_id] for home_id in getattr(manifest.split, part)} == expected
 
 
-def test_planners_are_evaluated_in_homes_with_peoples_contents(workspace: Workspace, cli: Cli) -> None:
-    write(workspace.path / "votes.npy")
-    done = cli("reproduce", *workspace.overrides, *HUMAN, "output_dir=outputs/human", cwd=workspace.path)
+def test_planners_are_evaluated_in_homes_with_peoples_contents(cli: Cli, tmp_path: Path) -> None:
+    """In a folder of its own: another model in the shared workspace would become its champion."""
+    write(tmp_path / "votes.npy")
+    done = cli("reproduce", *harness.SMALL, *HUMAN, "output_dir=outputs/human")
     assert done.code == 0, done.err
-    episodes = pd.read_parquet(workspace.path / "outputs/human/episodes")
+    episodes = pd.read_parquet(tmp_path / "outputs/human/episodes")
     assert set(episodes["status"]) == {"accepted"}
     asked = {name for names in episodes["objects"] for name in names}
     assert asked <= {"Mug", "RemoteControl", "Pillow", "ToothBrush", "CatToy", "SpareKey"} and len(asked) > 3
