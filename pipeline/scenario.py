@@ -10,10 +10,9 @@ planner.pouct.samples=1000 and the like.
 
 import json
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from math import dist
 
 from mrtask.analysis.published import RealWorldTrial, load_published
+from mrtask.analysis.real_world import driven_m
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.trajectories import draw_trial
 from mrtask.execution.episode import EpisodeResult, run_episode
@@ -69,7 +68,7 @@ def run(arguments: Sequence[str]) -> None:
 
 def metres(result: EpisodeResult) -> tuple[float, float]:
     """How far the robot that drove longest had driven when the task was done, and all robots together."""
-    each = [sum(dist(*ends) for leg in legs for ends in pairwise(leg.path)) for legs in result.trace.robots]
+    each = driven_m(result.trace)
     return max(each), sum(each)
 
 

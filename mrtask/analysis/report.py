@@ -1,6 +1,7 @@
-"""The report: one ``index.html`` that holds everything it shows and needs no network, and ``table.csv`` beside it.
+"""The report: one ``index.html`` that holds everything it shows and needs no network, and files for others beside it.
 
 It opens with the answer, in words computed from the data; the sections below are listed in `mrtask.analysis.sections`.
+Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
 """
 
 import re
@@ -13,19 +14,22 @@ import pandas as pd
 from markupsafe import Markup
 
 from mrtask.analysis.episodes import checked_episodes
+from mrtask.analysis.exhibits import Content
 from mrtask.analysis.findings import main_planner
+from mrtask.analysis.for_papers import paper_files
 from mrtask.analysis.replay import Episode, make_replay
 from mrtask.analysis.replay_page import render_replay
 from mrtask.analysis.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.result_table import result_table
-from mrtask.analysis.sections import SECTIONS
+from mrtask.analysis.sections import SECTIONS, Section
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.templating import render_fragment, script_digest, template_text
 from mrtask.analysis.trajectories import task_objects
-from mrtask.analysis.trial_browser import compared_planners, mapped_trials, notable_trials
+from mrtask.analysis.trial_browser import compared_planners, mapped_trials
 from mrtask.execution.trace import Trace
 from mrtask.files import replacing
 from mrtask.homes.home import Home
+from mrtask.planning.planners import PAPERS_PLANNER
 from mrtask.tasks.automaton import build_automaton
 
 REPORT_FILE, TABLE_FILE, REPLAYS = "index.html", "table.csv", "replays"
@@ -47,9 +51,10 @@ class Report:
     """The content of the files."""
 
     page: str
-    table: str
-    extras: Mapping[str, str] = field(default_factory=dict)
-    """Relative path -> content of what stands beside the page: ``replays/<trial>.html``."""
+    table: pd.DataFrame
+    """What `mrtask.analysis.result_table.result_table` has."""
+    extras: Mapping[str, bytes] = field(default_factory=dict)
+    """Relative path -> content of what lies beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
 
 
 def render_report(
@@ -74,11 +79,12 @@ def render_report(
     data = collect_report_data(episodes, manifest, homes, optimality)
     replays = replays_of(data)
     data = replace(data, replays={trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays})
-    table = result_table(data.summaries, data.published)
+    contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
     return Report(
-        render_page(data),
-        table.to_csv(index=False, float_format="%.6g", lineterminator="\n"),
-        {data.replays[trial_id]: page for trial_id, page in replays.items()},
+        render_page(data, contents),
+        result_table(data.summaries, data.published),
+        {data.replays[trial_id]: page.encode() for trial_id, page in replays.items()}
+        | paper_files(list(contents.values())),
     )
 
 
@@ -87,7 +93,7 @@ def replays_of(data: ReportData) -> dict[str, str]:
     if not {"trace", "template", "formula", "objects"} <= set(data.rows.columns):
         return {}
     pages = {}
-    for pick in notable_trials(data.rows, data.planner):
+    for pick in data.picks:
         home = data.homes.get(pick.home_id)
         rows = data.rows[(data.rows["trial_id"] == pick.trial_id) & data.rows["trace"].notna()]
         shown = [name for name in compared_planners(data.rows, data.planner) if name in set(rows["planner"])]
@@ -127,21 +133,20 @@ def write_report(report: Report, out_dir: Path) -> Path:
     Raises:
         OSError: a file cannot be written.
     """
-    for name, text in (*report.extras.items(), (TABLE_FILE, report.table), (REPORT_FILE, report.page)):
-        (out_dir / name).parent.mkdir(parents=True, exist_ok=True)
+    table = report.table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (REPORT_FILE, report.page.encode())):
         with replacing(out_dir / name) as path:
-            path.write_text(text, encoding="utf-8", newline="\n")
+            path.write_bytes(content)
     return out_dir / REPORT_FILE
 
 
-def render_page(data: ReportData) -> str:
-    """The HTML page: the answer, then all sections that have something to show."""
+def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
+    """The HTML page: the answer, then the sections."""
     experiment = data.manifest.get("experiment")
-    sections = []
-    for section in SECTIONS:
-        body = section.fragment(data)
-        if body is not None:
-            sections.append({"anchor": section.anchor, "link": section.link, "title": section.title, "body": body})
+    sections = [
+        {"anchor": section.anchor, "link": section.link, "title": section.title, "body": content.html}
+        for section, content in contents.items()
+    ]
     script = template_text("report.js")
     return render_fragment(
         "page",
@@ -167,7 +172,9 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Trial
         return TrialsToDraw(frozenset(), frozenset(), ())
     trials = mapped_trials(rows, planner)
     homes = rows.loc[rows["trial_id"].isin(trials), "home_id"].dropna().astype(str)
-    return TrialsToDraw(frozenset(trials), frozenset(homes), compared_planners(rows, planner))
+    papers = [PAPERS_PLANNER] if (rows["planner"] == PAPERS_PLANNER).any() else []
+    planners = dict.fromkeys((*compared_planners(rows, planner), *papers))
+    return TrialsToDraw(frozenset(trials), frozenset(homes), tuple(planners))
 
 
 def _question(planner: str | None) -> str:

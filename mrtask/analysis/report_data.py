@@ -6,13 +6,17 @@ from functools import cached_property
 
 import pandas as pd
 
+from mrtask.analysis.coordination import Coordination, coordination
 from mrtask.analysis.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.facts import Manifest, ModelFacts, missing_episodes, model_facts
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.published import Published, load_published
 from mrtask.analysis.statistics import Summary, summarise
+from mrtask.analysis.trajectories import Pick
+from mrtask.analysis.trial_browser import notable_trials
 from mrtask.homes.home import Home
+from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,31 @@ class ReportData:
     def planner(self) -> str | None:
         """The planner that the report is about; None without episodes."""
         return main_planner(self.summary.planners, self.manifest.get("main_planner"))
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """The planners that the paper's claims are judged on: the paper's, and the main one if it is under study."""
+        main = self.planner
+        ours = main is not None and main != PAPERS_PLANNER and planner_role(main) is Role.OURS
+        return (PAPERS_PLANNER, main) if main is not None and ours else (PAPERS_PLANNER,)
+
+    @cached_property
+    def coordination(self) -> dict[str, Coordination]:
+        """Of the planners judged, those whose traces can show whether robots wait and go on."""
+        found = {name: coordination(self.rows, name) for name in self.judged}
+        return {name: one for name, one in found.items() if one is not None}
+
+    @cached_property
+    def picks(self) -> list[Pick]:
+        """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
+        picks = notable_trials(self.rows, self.planner)
+        home_of = dict(zip(self.rows["trial_id"], self.rows.get("home_id", self.rows["trial_id"]), strict=True))
+        for name, one in self.coordination.items():
+            for what, trials in (("waits for a teammate", one.waits), ("goes on past a find", one.goes_on)):
+                shown = next((trial for trial in trials if all(trial != pick.trial_id for pick in picks)), None)
+                if shown is not None and name == self.planner:
+                    picks.append(Pick(shown, str(home_of[shown]), what))
+        return picks
 
     @cached_property
     def findings(self) -> Findings:

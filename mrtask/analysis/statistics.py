@@ -182,6 +182,11 @@ class Bootstrap:
             means[first : first + rows] = times.astype(np.float64) @ self.costs / n
         return means
 
+    def resampled(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Floats:
+        """[B] the statistic of each resample; ``columns`` as in `estimate`."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return statistic(self._resampled_means[:, list(columns)])
+
     def estimate(self, statistic: Callable[[Floats], Floats], columns: Sequence[int] | None = None) -> Estimate:
         """The statistic with its BCa interval.
 

@@ -229,6 +229,8 @@ class EvaluationManifest(Record):
     homes: EvaluatedHomes
     reach: Reach
     machine: Machine
+    packages: Mapping[str, str] = {}
+    """Versions of what computed the rows; empty for a run from before they were recorded."""
     peak_memory_mb: float | None
     """Of the worker that took most."""
     started: str
