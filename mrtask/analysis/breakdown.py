@@ -3,10 +3,20 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from mrtask.analysis.columns import Column, Table, make_table
-from mrtask.analysis.statistics import REFERENCES, UNDEFINED, Bootstrap, Comparison, Estimate, compare, paired_costs
+from mrtask.analysis.statistics import (
+    REFERENCES,
+    UNDEFINED,
+    Comparison,
+    Estimate,
+    PairedDraws,
+    compare,
+    improvement_of_means,
+    paired_costs,
+)
 from mrtask.analysis.style import planner_label
 from mrtask.tasks.templates import TEMPLATES
 
@@ -42,15 +52,18 @@ def results_by_template(rows: pd.DataFrame, planner: str | None) -> dict[str, Te
     present = set(rows.loc[rows["planner"] == planner, "template"].dropna().astype(str))
     for template in (*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))):
         of_template = rows[rows["template"] == template]
-        costs, cells = paired_costs(of_template), paired_costs(of_template, "cost_cells")
-        own = costs[planner].to_numpy()
+        costs, cells = paired_costs(of_template), paired_costs(of_template, "cost_cells")[planner]
+        own, place = costs[planner].to_numpy(), {name: index for index, name in enumerate(costs.columns)}
+        estimate = PairedDraws(np.column_stack([costs.to_numpy(), cells.to_numpy()])).estimate
         found[template] = TemplateResult(
             template=template,
             trials=int((of_template["planner"] == planner).sum()),
             finished=int(costs[planner].notna().sum()),
-            cost_cells=Bootstrap(cells[[planner]].dropna().to_numpy()).estimate(lambda means: means[..., 0]),
+            cost_cells=estimate(lambda means: means[..., 0], [len(place)]),
             comparisons={
-                name: compare(own, costs[name].to_numpy())
+                name: compare(
+                    own, costs[name].to_numpy(), estimate(improvement_of_means, [place[planner], place[name]])
+                )
                 for name in REFERENCES
                 if name in costs.columns and name != planner
             },

@@ -11,7 +11,6 @@ from mrtask.analysis.breakdown import TemplateResult
 from mrtask.analysis.statistics import ALL_CLASSES, REFERENCES, Comparison, Summary, cell_name
 from mrtask.analysis.style import (
     BLACK,
-    GREY,
     LIGHT_GREY,
     ORANGE,
     house_style,
@@ -36,7 +35,7 @@ def template_improvements(results: Mapping[str, TemplateResult], planner: str) -
     color, marker = planner_looks([planner])[planner]
     with house_style():
         figure = new_figure(WIDTH_IN, ROW_IN * len(shown) + 1.0)
-        panels = figure.subplots(1, len(references), squeeze=False, sharey=True)[0]
+        panels = figure.subplots(1, len(references), squeeze=False, sharex=True, sharey=True)[0]
         places = np.arange(len(shown))
         for axes, reference in zip(panels, references, strict=True):
             found = [result.improvement(reference) for result in shown]
@@ -76,15 +75,15 @@ def wins(summary: Summary, planner: str) -> Figure | None:
             for place, cell in enumerate(cells):
                 if cell in pairs and pairs[cell].improvement.n:
                     _bar(axes, place, pairs[cell], color)
-            axes.axvline(50, color=BLACK, linewidth=0.8, linestyle=":")
             axes.set(title=f"against {planner_label(reference)}", xlabel="trials (%)", xlim=(0, 100))
             axes.grid(visible=False)
         panels[0].set_yticks(
             range(len(cells)), ["all" if cell[0] == ALL_CLASSES else cell_name(cell) for cell in cells]
         )
         panels[0].set_ylim(len(cells) - 0.4, -0.6)
-        names = {color: "sooner", LIGHT_GREY: "equal", ORANGE: "later"}
-        handles = [Patch(color=each, label=f"{planner_label(planner)} {name}") for each, name in names.items()]
+        name = planner_label(planner)
+        looks = {color: f"{name} sooner", LIGHT_GREY: "equal", ORANGE: f"{name} later"}
+        handles = [Patch(color=each, label=label) for each, label in looks.items()]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
@@ -92,7 +91,7 @@ def wins(summary: Summary, planner: str) -> Figure | None:
 def _bar(axes: Axes, place: int, pair: Comparison, color: str) -> None:
     """One stacked bar with the share of wins and of losses written into it."""
     trials, left = pair.improvement.n, 0.0
-    parts = ((pair.wins, color, "white"), (pair.ties, LIGHT_GREY, GREY), (pair.losses, ORANGE, BLACK))
+    parts = ((pair.wins, color, "white"), (pair.ties, LIGHT_GREY, BLACK), (pair.losses, ORANGE, BLACK))
     for count, fill, ink in parts:
         percent = 100 * count / trials
         axes.barh(place, percent, 0.78, left=left, color=fill)

@@ -54,7 +54,8 @@ class Judged:
     """A verdict and the number that decides it."""
 
     verdict: Verdict
-    because: str
+    because: tuple[str, ...]
+    """Line by line."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def claims_table(claims: Sequence[Claim], planners: Sequence[str]) -> Table:
 
 
 def _entry(judged: Judged) -> Entry:
-    return Entry(judged.verdict.value, (judged.because,), TONES.get(judged.verdict, ""))
+    return Entry(judged.verdict.value, judged.because, TONES.get(judged.verdict, ""))
 
 
 def _better_in_every_cell(data: ReportData, planners: Sequence[str], baseline: str) -> Claim:
@@ -132,7 +133,7 @@ def judge_cells(summary: Summary, published: Published, planner: str, baseline: 
     parts += [f"{counted(lost, 'trial')} that only {planner_label(baseline)} finished left out"] if lost else []
     holds = len(clear) == len(cells) and not lost
     verdict = Verdict.CONTRADICTED if worse else Verdict.HOLDS if holds else Verdict.NOT_SHOWN
-    return Judged(verdict, "; ".join(parts))
+    return Judged(verdict, tuple(parts))
 
 
 def _grows_with_size(data: ReportData, planners: Sequence[str]) -> Claim:
@@ -148,11 +149,11 @@ def judge_growth(data: ReportData, planner: str) -> Judged:
     summary = data.summary
     if planner not in summary.planners or not set(BASELINES) <= set(summary.planners):
         missing = [name for name in (planner, *BASELINES) if name not in summary.planners]
-        return Judged(Verdict.NOT_IN_RUN, f"{_named_planners(missing)} did not run")
+        return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
     classes = [name for name in SIZE_CLASSES if name in summary.size_classes]
     draws = {name: draw for number, name in enumerate(classes) if (draw := _draw(data, planner, name, SEED + number))}
     if len(draws) < 2:
-        return Judged(Verdict.NOT_IN_RUN, "homes of fewer than two size classes")
+        return Judged(Verdict.NOT_IN_RUN, ("homes of fewer than two size classes",))
     steps: list[Estimate] = []
     parts = []
     for column, baseline in enumerate(BASELINES, 1):
@@ -166,7 +167,7 @@ def judge_growth(data: ReportData, planner: str) -> Judged:
     shrinks = any(step.high < 0 for step in steps)
     holds = all(step.low > 0 for step in steps) and len(draws) == len(SIZE_CLASSES)
     verdict = Verdict.CONTRADICTED if shrinks else Verdict.HOLDS if holds else Verdict.NOT_SHOWN
-    return Judged(verdict, "; ".join(parts))
+    return Judged(verdict, tuple(parts))
 
 
 def improvement_growth(first: Bootstrap, second: Bootstrap, column: int) -> Estimate:
@@ -212,14 +213,17 @@ def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:
 def judge_coordination(found: Coordination | None) -> Judged:
     """Whether a planner's traces show both."""
     if found is None:
-        return Judged(Verdict.NOT_IN_RUN, "no trace of an ordered task with several robots")
+        return Judged(Verdict.NOT_IN_RUN, ("no trace of an ordered task with several robots",))
     waits, goes_on = (share(len(trials), found.episodes) for trials in (found.waits, found.goes_on))
     both = bool(found.waits and found.goes_on)
-    read = "" if found.episodes == found.eligible else f" whose traces were read, of {found.eligible},"
+    read = "" if found.episodes == found.eligible else f" whose traces were read, of {found.eligible}"
     return Judged(
         Verdict.HOLDS if both else Verdict.NOT_SHOWN,
-        f"in {counted(found.episodes, 'such episode')}{read} a robot waits in {_percent(waits)}, goes on in "
-        f"{_percent(goes_on)}",
+        (
+            f"{counted(found.episodes, 'such episode')}{read}",
+            f"a robot waits in {_percent(waits)} of them",
+            f"one goes on in {_percent(goes_on)}",
+        ),
     )
 
 
@@ -240,16 +244,17 @@ def _apartment(data: ReportData, planners: Sequence[str], trial: RealWorldTrial)
     for name in planners:
         own, myopic = simulated.get(name), simulated.get(MYOPIC)
         if own is None or myopic is None or not myopic.finished:
-            judged[name] = Judged(
-                Verdict.NOT_IN_RUN, "no simulated run of both planners; no real robot has run this code"
-            )
+            because = ("no simulated run of both planners", "no real robot has run this code")
+            judged[name] = Judged(Verdict.NOT_IN_RUN, because)
             continue
         shorter = own.finished and own.metres < myopic.metres
         outcome = f"{own.metres:.2f} m" if own.finished else "not finished"
         judged[name] = Judged(
             Verdict.HOLDS if shorter else Verdict.CONTRADICTED,
-            f"{outcome} against {myopic.metres:.2f} m of {planner_label(MYOPIC)}; one simulated run on a floor plan of "
-            "ours",
+            (
+                f"{outcome} against {myopic.metres:.2f} m of {planner_label(MYOPIC)}",
+                "one simulated run, on a floor plan of ours",
+            ),
         )
     return Claim(
         f"In {trial.name} ({trial.task}) two robots drive less than myopic ones (the paper, real robots: "
@@ -262,8 +267,8 @@ def _apartment(data: ReportData, planners: Sequence[str], trial: RealWorldTrial)
 def _not_run(summary: Summary, planner: str, baseline: str) -> Judged:
     missing = [name for name in (planner, baseline) if name not in summary.planners]
     if missing:
-        return Judged(Verdict.NOT_IN_RUN, f"{_named_planners(missing)} did not run")
-    return Judged(Verdict.NOT_IN_RUN, "no trial of the paper's cells was finished by both")
+        return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
+    return Judged(Verdict.NOT_IN_RUN, ("no trial of the paper's cells was finished by both",))
 
 
 def _named(cells: Sequence[Cell]) -> str:

@@ -74,3 +74,5 @@ class Content:
     pictures: Sequence[Picture] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     """Other files beside the page: path -> content."""
+    in_short: str = ""
+    """What the page's answer says of it, with a link."""

@@ -12,6 +12,7 @@ from mrtask.analysis.published import Published
 from mrtask.analysis.report_data import ReportData
 from mrtask.analysis.statistics import RESAMPLES
 from mrtask.analysis.style import counted, planner_label
+from mrtask.tasks.templates import TEMPLATES
 
 SOFTWARE_TITLE = "mrtask: multi-robot task planning in homes where nobody knows which object lies where"
 SOFTWARE_AUTHORS = "The mrtask authors"
@@ -81,7 +82,8 @@ def _trials_sentence(rows: pd.DataFrame, homes: Manifest) -> str:
 def _task_sentences(rows: pd.DataFrame, evaluation: Manifest) -> list[str]:
     sentences = ["All planners run the same trials: the same home, task, start and hidden contents."]
     if "template" in rows.columns and rows["template"].notna().any():
-        names = sorted(rows["template"].dropna().astype(str).unique())
+        present = set(rows["template"].dropna().astype(str))
+        names = [*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))]
         forms = "form" if len(names) == 1 else "forms"
         sentences.append(f"Tasks are co-safe LTL formulas of the {forms} {_listed(names)}.")
     keys = ("speed_m_per_s", "search_time_s", "interact_time_s")
@@ -120,7 +122,9 @@ def _outcome_sentences(rows: pd.DataFrame) -> list[str]:
         return []
     accepted = int((rows["status"] == "accepted").sum())
     return [
-        f"Of {len(rows):,} episodes {accepted:,} finished their task; the others have no cost and are in no mean.",
+        f"All {len(rows):,} episodes finished their task."
+        if accepted == len(rows)
+        else f"Of {len(rows):,} episodes {accepted:,} finished their task; the others have no cost and are in no mean.",
         "An improvement is one minus the ratio of mean costs over the trials that both planners finished; intervals "
         f"are 95 % bias-corrected and accelerated bootstrap intervals from {RESAMPLES:,} paired resamples of trials.",
     ]

@@ -17,6 +17,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from mrtask.analysis.columns import Column, Table, make_table
+from mrtask.analysis.episodes import size_classes_in_order
 from mrtask.analysis.statistics import Floats, Summary, paired_costs
 from mrtask.analysis.style import counted, house_style, new_figure, planner_label, planner_looks
 from mrtask.planning.planners import Role, planner_role, planners_in_order
@@ -109,7 +110,7 @@ def _within_column(factor: float) -> Column[_Line]:
 
 def draw_profile(ratios: CostRatios) -> Figure:
     """The profile of every planner, one panel per size class."""
-    classes = list(dict.fromkeys(ratios.size_classes))
+    classes = size_classes_in_order(ratios.size_classes)
     looks = planner_looks(ratios.planners)
     with house_style():
         figure = new_figure(PANEL_IN * max(len(classes), 2), 3.6)
@@ -168,9 +169,9 @@ def _steps(axes: Axes, values: Floats, top: float, color: str, start: float) -> 
     if len(found) > MAX_STEPS:
         kept = np.unique(np.linspace(0, len(found) - 1, MAX_STEPS).round().astype(int))
         found, shares = found[kept], shares[kept]
-    axes.step(
-        [start, *found, top], [0, *shares, shares[-1] if len(shares) else 0], where="post", color=color, linewidth=1.5
-    )
+    if not len(found) or found[0] > start:
+        found, shares = np.array([start, *found]), np.array([0.0, *shares])
+    axes.step([*found, top], [*shares, shares[-1]], where="post", color=color, linewidth=1.5)
 
 
 def _legend(figure: Figure, planners: Sequence[str]) -> None:

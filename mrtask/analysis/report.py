@@ -4,9 +4,8 @@ It opens with the answer, in words computed from the data; the sections below ar
 Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
 """
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +31,7 @@ from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER
 from mrtask.tasks.automaton import build_automaton
 
-REPORT_FILE, TABLE_FILE, REPLAYS = "index.html", "table.csv", "replays"
-SAFE_NAME = re.compile(r"[\w-]+")
-"""Trial ids that can name a file."""
+REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
 
 
 @dataclass(frozen=True)
@@ -77,40 +74,33 @@ def render_report(
         ValueError: a column is missing, or the episodes contradict each other.
     """
     data = collect_report_data(episodes, manifest, homes, optimality)
-    replays = replays_of(data)
-    data = replace(data, replays={trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays})
     contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
     return Report(
         render_page(data, contents),
         result_table(data.summaries, data.published),
-        {data.replays[trial_id]: page.encode() for trial_id, page in replays.items()}
+        {data.replays[trial_id]: page.encode() for trial_id, page in replays_of(data).items()}
         | paper_files(list(contents.values())),
     )
 
 
 def replays_of(data: ReportData) -> dict[str, str]:
-    """Trial id -> page, for the notable trials whose home and traces are there. Reasons would take a run."""
-    if not {"trace", "template", "formula", "objects"} <= set(data.rows.columns):
-        return {}
+    """Trial id -> page, of all that the report links to. Reasons for decisions would take a run."""
     pages = {}
-    for pick in data.picks:
-        home = data.homes.get(pick.home_id)
-        rows = data.rows[(data.rows["trial_id"] == pick.trial_id) & data.rows["trace"].notna()]
-        shown = [name for name in compared_planners(data.rows, data.planner) if name in set(rows["planner"])]
-        if home is None or not shown or not SAFE_NAME.fullmatch(pick.trial_id):
-            continue
+    for trial_id in data.replays:
+        rows = data.rows[(data.rows["trial_id"] == trial_id) & data.rows["trace"].notna()]
         by_planner = {row["planner"]: row for row in rows.to_dict("records")}
+        shown = [name for name in compared_planners(data.rows, data.planner) if name in by_planner]
         first = by_planner[shown[0]]
         automaton = build_automaton(first["formula"], task_objects(first["objects"]))
         replay = make_replay(
-            pick.trial_id,
+            trial_id,
             first["size_class"],
             first["template"],
             automaton,
-            home,
+            data.homes[first["home_id"]],
             [_episode(by_planner[name]) for name in shown],
         )
-        pages[pick.trial_id] = render_replay(replay)
+        pages[trial_id] = render_replay(replay)
     return pages
 
 
@@ -144,7 +134,13 @@ def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
     """The HTML page: the answer, then the sections."""
     experiment = data.manifest.get("experiment")
     sections = [
-        {"anchor": section.anchor, "link": section.link, "title": section.title, "body": content.html}
+        {
+            "anchor": section.anchor,
+            "link": section.link,
+            "title": section.title,
+            "body": content.html,
+            "in_short": content.in_short,
+        }
         for section, content in contents.items()
     ]
     script = template_text("report.js")

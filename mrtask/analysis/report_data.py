@@ -1,7 +1,8 @@
 """What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import pandas as pd
@@ -14,9 +15,13 @@ from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.published import Published, load_published
 from mrtask.analysis.statistics import Summary, summarise
 from mrtask.analysis.trajectories import Pick
-from mrtask.analysis.trial_browser import notable_trials
+from mrtask.analysis.trial_browser import compared_planners, notable_trials
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
+
+REPLAYS = "replays"
+SAFE_NAME = re.compile(r"[\w-]+")
+"""Trial ids that can name a file."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +38,6 @@ class ReportData:
     published: Published
     optimality: Sequence[CellOptimality] = ()
     """How far planners are from optimal, where that was measured."""
-    replays: Mapping[str, str] = field(default_factory=dict)
-    """Trial id -> the page of its replay, of the notable trials."""
 
     @property
     def shown(self) -> Variant:
@@ -73,13 +76,27 @@ class ReportData:
     def picks(self) -> list[Pick]:
         """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
         picks = notable_trials(self.rows, self.planner)
-        home_of = dict(zip(self.rows["trial_id"], self.rows.get("home_id", self.rows["trial_id"]), strict=True))
-        for name, one in self.coordination.items():
-            for what, trials in (("waits for a teammate", one.waits), ("goes on past a find", one.goes_on)):
-                shown = next((trial for trial in trials if all(trial != pick.trial_id for pick in picks)), None)
-                if shown is not None and name == self.planner:
-                    picks.append(Pick(shown, str(home_of[shown]), what))
+        shown = self.coordination.get(self.planner or "")
+        if shown is None or "home_id" not in self.rows.columns:
+            return picks
+        home_of = dict(zip(self.rows["trial_id"], self.rows["home_id"].astype(str), strict=True))
+        for what, trials in (("a robot waits", shown.waits), ("a robot goes on", shown.goes_on)):
+            picked = {pick.trial_id for pick in picks}
+            picks += [Pick(trial, home_of[trial], what) for trial in trials if trial not in picked][:1]
         return picks
+
+    @cached_property
+    def replays(self) -> dict[str, str]:
+        """Trial id -> the page of its replay beside the report, of those picks whose home and traces are there."""
+        if not {"trace", "template", "formula", "objects"} <= set(self.rows.columns):
+            return {}
+        compared = self.rows["planner"].isin(compared_planners(self.rows, self.planner))
+        traced = set(self.rows.loc[compared & self.rows["trace"].notna(), "trial_id"])
+        return {
+            pick.trial_id: f"{REPLAYS}/{pick.trial_id}.html"
+            for pick in self.picks
+            if pick.home_id in self.homes and pick.trial_id in traced and SAFE_NAME.fullmatch(pick.trial_id)
+        }
 
     @cached_property
     def findings(self) -> Findings:

@@ -6,7 +6,7 @@ a template of its own, which lays out tables and pictures with the macros of ``p
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
@@ -238,12 +238,13 @@ def papers_section(data: ReportData) -> Content:
 def claims_section(data: ReportData) -> Content:
     """Each claim of the paper with a verdict and where to see it."""
     claims = judge_claims(data)
-    return _content(
+    content = _content(
         "claims",
         _table("claims", "The paper's claims, judged on this run", claims_table(claims, data.judged), "claim"),
         claims=claims,
-        counts=[(planner_label(name), count_verdicts(claims, name)) for name in data.judged],
     )
+    counts = "; ".join(f"{planner_label(name)}: {count_verdicts(claims, name)}" for name in data.judged)
+    return replace(content, in_short=f"{counts}.")
 
 
 SECTIONS: Sequence[Section] = (

@@ -132,4 +132,5 @@ def _saved(figure: Figure, **options: Any) -> bytes:
     with house_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
         figure.savefig(buffer, **options)
+    figure.set_layout_engine("none")  # in the next format it stands as it does in this one, and that much sooner
     return buffer.getvalue()

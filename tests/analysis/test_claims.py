@@ -35,7 +35,7 @@ GROWING = {"small": 0.1, "medium": 0.25, "large": 0.4}
 
 def judged(frame: pd.DataFrame, index: int, manifest=None, planner: str = "pouct_paper"):
     one = judge_claims(collect_report_data(frame, manifest or {}, {}))[index].judged[planner]
-    return one.verdict, one.because
+    return one.verdict, "; ".join(one.because)
 
 
 def test_better_in_every_cell():
@@ -127,7 +127,7 @@ def test_coordination_needs_both_and_leads_to_a_trial():
     frame = run(GROWING, trials=2, size_classes=("small",), robots=(2,)).assign(formula="(!b U a) & F b")
     both = frame.assign(trace=np.where(frame["trial_id"] == "small-2-000", WAITED, WENT_ON))
     assert judged(both, COORDINATION)[0] is Verdict.HOLDS
-    assert "in 2 such episodes a robot waits in 50.0 % [" in judged(both, COORDINATION)[1]
+    assert "2 such episodes; a robot waits in 50.0 % [" in judged(both, COORDINATION)[1]
     claim = judge_claims(collect_report_data(both, {"output_dir": "outputs/x"}, {}))[COORDINATION]
     assert [one.label for one in claim.evidence] == [
         "python -m pipeline.replay trial_id=small-2-000 output_dir=outputs/x",
@@ -156,7 +156,7 @@ def test_apartments():
         runs = {"pouct_paper": own, "nonlearned_myopic": myopic}
         found = {name: simulated_trial(trial, trace).as_dict() for name, trace in runs.items()}
         [*_, claim, _] = judge_claims(replace(data, manifest={"apartments": {trial.name: found}}))
-        return claim.judged["pouct_paper"].verdict, claim.judged["pouct_paper"].because
+        return claim.judged["pouct_paper"].verdict, " ".join(claim.judged["pouct_paper"].because)
 
     assert verdict(apartment(4), apartment(9))[0] is Verdict.HOLDS
     assert "4.00 m against 9.00 m of nonlearned_myopic" in verdict(apartment(4), apartment(9))[1]
