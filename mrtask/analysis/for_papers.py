@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from mrtask.analysis.columns import Table
+from mrtask.analysis.columns import Entry, Table
 from mrtask.analysis.exhibits import Content, ShownTable
 from mrtask.analysis.style import NOTHING
 from mrtask.analysis.tables import ABOVE, BELOW, LEVEL
@@ -31,6 +31,7 @@ LATEX_SIGNS = str.maketrans(
 )
 """What LaTeX reads as a command, and signs that its own fonts have only in mathematics or under another name."""
 LATEX_NEEDS = r"% Needs \usepackage{amssymb,booktabs}; names in scripts beyond Latin need XeLaTeX or LuaLaTeX."
+MAX_UNBROKEN_CHARS = 60
 MARKDOWN_SIGNS = re.compile(r"[\\`*_<>|~&$]|\](?=[(\[])")
 """What Markdown would read as code, emphasis, HTML, an entity, mathematics, a column, or the end of a link's text."""
 
@@ -55,8 +56,12 @@ def latex_table(shown: ShownTable) -> str:
     two = any(upper for upper, _ in headings)
     columns = pd.MultiIndex.from_tuples(headings) if two else pd.Index([lower for _, lower in headings])
     frame = pd.DataFrame(_latex_lines(table), columns=columns, dtype="str")
-    sides = "l" + "".join("l" if _is_text(table, index) else "r" for index in range(len(table.columns)))
-    tabular = frame.style.hide(axis="index").to_latex(column_format=sides, hrules=True, multicol_align="c")
+    sides = [_latex_side([row.label for row in table.rows if not row.heading], words=True)]
+    for index in range(len(table.columns)):
+        entries = [row.entries[index] for row in table.rows if not row.heading]
+        texts = [text for entry in entries for text in (entry.value, *entry.details)]
+        sides.append(_latex_side(texts, _is_text(table, index)))
+    tabular = frame.style.hide(axis="index").to_latex(column_format="".join(sides), hrules=True, multicol_align="c")
     return f"% {_in_line(shown.title)}\n{LATEX_NEEDS}\n{tabular}"
 
 
@@ -73,7 +78,7 @@ def markdown_table(shown: ShownTable) -> str:
         if row.heading
         else [
             markdown_text(row.label),
-            *(markdown_text(" ".join(part for part in (entry.value, *entry.details) if part)) for entry in row.entries),
+            *(markdown_text(_with_details(entry)) for entry in row.entries),
         ]
         for row in table.rows
     ]
@@ -101,6 +106,19 @@ def _latex_lines(table: Table) -> list[list[str]]:
             below = (entry.details[level] if level < len(entry.details) else "" for entry in row.entries)
             lines.append(["", *(rf"{{\footnotesize {latex_text(detail)}}}" if detail else "" for detail in below)])
     return lines
+
+
+def _latex_side(texts: Sequence[str], words: bool) -> str:
+    """The alignment of a column; one with sentences in it breaks its lines."""
+    if max(map(len, texts), default=0) > MAX_UNBROKEN_CHARS:
+        return r"p{.28\linewidth}"
+    return "l" if words else "r"
+
+
+def _with_details(entry: Entry) -> str:
+    """A value with what stands below it on the page in brackets."""
+    details = "; ".join(detail for detail in entry.details if detail)
+    return f"{entry.value} ({details})" if details else entry.value
 
 
 def _is_text(table: Table, column: int) -> bool:

@@ -48,6 +48,11 @@ def test_latex_by_hand():
     )
 
 
+def test_sentences_break_their_lines():
+    long = Table((("", "a"), ("", "b")), (Row("r", (Entry("yes", ("because " * 10,)), Entry("1"))),))
+    assert r"\begin{tabular}{lp{.28\linewidth}r}" in latex_table(ShownTable("t", "T", long, "c"))
+
+
 def test_markdown_by_hand():
     lines = markdown_table(SHOWN).splitlines()
     assert lines[0] == "Costs" and lines[1] == ""
@@ -55,7 +60,7 @@ def test_markdown_by_hand():
     assert cells[0] == ["planner", "small 1 robot", "small 2 robots", "why"]
     assert [cell.endswith(":") for cell in cells[1]] == [False, True, True, False]
     assert cells[2] == ["**Mean cost in grid cells**", "", "", ""]
-    assert cells[3] == ["pouct", f"12.5 % {ABOVE} [1.0, 3.0] paper 2", f"{NOTHING} paper 3", "x"]
+    assert cells[3] == ["pouct", f"12.5 % {ABOVE} ([1.0, 3.0]; paper 2)", f"{NOTHING} (paper 3)", "x"]
 
 
 def read_latex(text: str) -> str:
@@ -98,7 +103,7 @@ def test_markdown_shows_names_as_they_are(text):
     table = Table((("", text),), (Row(text, (Entry(text, (text,)),)), Row("last", (Entry("1"),))))
     tokens = reader.parse(markdown_table(ShownTable("t", text, table, "c")))
     inline = [words(token.children) for token in tokens if token.type == "inline"]
-    assert inline == [one_line, "c", one_line, one_line, f"{one_line} {one_line}", "last", "1"]
+    assert inline == [one_line, "c", one_line, one_line, f"{one_line} ({one_line})", "last", "1"]
     assert [words(token.children) for token in reader.parse(markdown_text(text)) if token.type == "inline"] == [
         one_line
     ]
