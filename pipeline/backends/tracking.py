@@ -13,6 +13,7 @@ import logging
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -222,7 +223,9 @@ def log_table(run: Run, table: pd.DataFrame, name: str) -> None:
     client = mlflow.MlflowClient()
     if name in {artifact.path for artifact in client.list_artifacts(run.run_id)}:
         client.log_text(run.run_id, table.to_json(orient="split", index=False), name)  # log_table would add to it
-    else:
+        return
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="For backward compatibility, 'str' dtypes")  # MLflow's, of pandas
         client.log_table(run.run_id, table, name)
 
 

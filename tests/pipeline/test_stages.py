@@ -90,7 +90,7 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
     of_evaluation = runs["evaluate"].info.run_id
     logged = {artifact.path for artifact in client.list_artifacts(of_evaluation, "report")}
     assert {"report/index.html", "report/table.csv", "report/tables", "report/figures"} <= logged
-    table = mlflow.load_table("table.json", run_ids=[of_evaluation])
+    table = client.load_table(store.experiment_id, "table.json", run_ids=[of_evaluation])
     written = pd.read_csv(workspace.output_dir / "report" / "table.csv")
     assert table["mean_cost_s"].to_numpy() == pytest.approx(written["mean_cost_s"].to_numpy(), rel=1e-5)
 

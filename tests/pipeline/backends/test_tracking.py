@@ -137,7 +137,7 @@ def test_a_table_is_replaced_and_shown_beside_others(store):
     with tracking.run(store, "evaluate", {}, {}) as run:
         tracking.log_table(run, first, "table.json")
     tracking.log_table(run, first.head(1).assign(mean_cost_s=2.5), "table.json")
-    kept = mlflow.load_table("table.json", run_ids=[run.run_id])
+    kept = mlflow.MlflowClient().load_table(store.experiment_id, "table.json", run_ids=[run.run_id])
     assert kept.to_dict("records") == [{"planner": "pouct", "mean_cost_s": 2.5}]
     shown = json.loads(mlflow.MlflowClient().get_run(run.run_id).data.tags["mlflow.loggedArtifacts"])
     assert shown == [{"path": "table.json", "type": "table"}]
