@@ -59,7 +59,7 @@ class CostRatios:
 
     def of_class(self, size_class: str) -> Floats:
         """[n, P] the ratios in one size class."""
-        return self.ratios[np.asarray(self.size_classes) == size_class]
+        return self.ratios[[name == size_class for name in self.size_classes]]
 
 
 @dataclass(frozen=True)
