@@ -324,6 +324,27 @@ class Ablation(_Section):
     taken_alone: bool
 
 
+class Factor(_Section):
+    """A key of the configuration and the values that it takes, one at a time."""
+
+    name: str = Field(min_length=1)
+    key: str = Field(min_length=1)
+    values: Annotated[tuple[float, ...], Field(min_length=2), AfterValidator(_distinct)]
+
+    @field_validator("values", mode="before")
+    @classmethod
+    def _numbers(cls, values: Any) -> Any:
+        if any(isinstance(value, bool) for value in values):
+            raise ValueError("give numbers: they are the axis of a curve")
+        return values
+
+
+class Sensitivity(_Section):
+    """What `pipeline.sensitivity` changes, one factor at a time."""
+
+    factors: Annotated[tuple[Factor, ...], Field(min_length=1)]
+
+
 class Optimality(_Section):
     """How far planners are from optimal: on how many trials and worlds it is measured."""
 
@@ -390,6 +411,7 @@ class Config(_Section):
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
+    sensitivity: Sensitivity
     optimality: Optimality
     replay: Replay
     cluster: Cluster
