@@ -89,6 +89,7 @@ class GivenTrial(Given):
     robots: int = Field(ge=1)
     start: Coordinates | None
     planners: tuple[str, ...] = Field(min_length=1)
+    seeds: int = Field(ge=1)
     output_dir: Path
     published: str | None
 
