@@ -4,9 +4,9 @@
     python -m pipeline.scenario map=lab.yaml containers=containers.yaml task="pillow and remote" robots=2
 
 What searches at random runs with several seeds; metres are means over them. Writes into output_dir (default
-outputs/scenario/<name>), of the first seed: replay.html, all planners side by side to be watched; plans.png, the first of
-the search planners beside the first baseline; traces/<planner>.json. Every key, with its default: conf/scenario.yaml;
-planners' options are planner.pouct.samples=1000 and the like.
+outputs/scenario/<name>), of the first seed: replay.html, all planners side by side to be watched; plans.png, the first
+of the search planners beside the first baseline; traces/<planner>.json. Every key, with its default:
+conf/scenario.yaml; planners' options are planner.pouct.samples=1000 and the like.
 """
 
 import json

@@ -5,8 +5,9 @@
     python -m simulators.pyrobosim homes=[houses.jsonl.gz] assets=asset-database.json count=30
 
 Each trial is a home, a task of the paper's templates and a team; every planner runs on it. Writes into output_dir
-(default outputs/pyrobosim): worlds/<home>/, the files of both sides; episodes.jsonl, one line for each trial and planner;
-paths/, where each robot was at every step; summary.txt. The same command again goes on where it was. Every key: simulators/pyrobosim/options.yaml.
+(default outputs/pyrobosim): worlds/<home>/, the files of both sides; episodes.jsonl, one line for each trial and
+planner; paths/, where each robot was at every step; summary.txt. The same command again goes on where it was.
+Every key: simulators/pyrobosim/options.yaml.
 """
 
 import json
@@ -48,6 +49,7 @@ class Options(BaseModel):
     homes: str | tuple[LocalPath, ...]
     assets: LocalPath | None
     count: int = Field(ge=1)
+    in_turn: bool
     robots: tuple[Annotated[int, Field(ge=1, le=8)], ...] = Field(min_length=1)
     planners: tuple[str, ...] = Field(min_length=1)
     likelihood: str
@@ -90,7 +92,10 @@ def run(arguments: Sequence[str]) -> None:
 def _rows_so_far(options: Options) -> list[dict[str, Any]]:
     """The episodes of the same options that are there; raises `InputError` where the folder holds others."""
     options.output_dir.mkdir(parents=True, exist_ok=True)
-    identity = json.loads(options.model_dump_json(exclude={"output_dir"})) | {"pyrobosim": version("pyrobosim")}
+    content = options.model_dump_json(
+        include={"homes", "assets", "likelihood", "search_time_s", "interact_time_s", "seed", "planner"}
+    )
+    identity = json.loads(content) | {"pyrobosim": version("pyrobosim")}
     file = options.output_dir / RUN
     if file.exists() and (before := json.loads(file.read_text(encoding="utf-8"))) != identity:
         changed = ", ".join(key for key in identity if before.get(key) != identity[key])
@@ -127,7 +132,9 @@ def _worlds(options: Options, body: Body) -> Iterator[World]:
 
 
 def _trials(world: World, number: int, options: Options, body: Body) -> list[Trial]:
+    """One for each team size, or for the one whose turn it is; any home of a number has the same turn."""
     spec = RobotSpec(body.speed_m_per_s, options.search_time_s, options.interact_time_s)
+    turn = number // len(SIZE_CLASSES) % len(options.robots)
     size_class = world.home.size_class
     return [
         sample_trial(
@@ -139,7 +146,7 @@ def _trials(world: World, number: int, options: Options, body: Body) -> list[Tri
             seed=options.seed,
             options=TrialOptions(robot=spec),
         )
-        for robots in options.robots
+        for robots in ((options.robots[turn],) if options.in_turn else options.robots)
     ]
 
 

@@ -1,13 +1,13 @@
 """The robots of a pyrobosim world on their ways, in stepped time, and who goes first where they meet.
 
-pyrobosim moves robots in threads on the wall's clock, and its path executor lets them drive through each other. So it is
-driven here as its ROS interface drives it, by velocity commands, one step of ``STEP_S`` after another: its
-`RobotDynamics2D.step` limits speed and acceleration, its `Robot.is_in_collision` refuses a step into walls, furniture or
-another robot. It has no rules for robots that meet. Ours:
+pyrobosim's path executor runs in threads on the wall's clock and lets robots drive through each other. So the robots
+are driven by velocity commands in a loop of our own, the other way that its manual describes ("Robot Dynamics"), one
+step of ``STEP_S`` after another: its `RobotDynamics2D.step` limits speed and acceleration, its `Robot.is_in_collision`
+refuses a step into walls, furniture or another robot. It has no rules for robots that meet. Ours:
 
 1. A robot stops before it comes within ``KEEP_OFF_M`` (and its own braking distance) of another one on its way.
-2. The robot that stands earlier in the team goes first. One that waits for orders, or has given way, goes last; one that
-   searches or interacts is waited for.
+2. The robot that was named earlier in the team goes first. One that waits for orders, or has given way, goes last; one
+   that searches or interacts is waited for.
 3. A robot that holds up one that goes before it drives to the nearest place off that one's way, and goes on when it
    has passed, by the shortest way from where it then is. Meanwhile it has the other's rank towards everybody else.
 4. If there is no such place, it goes first itself, and the other one gives way.
@@ -17,7 +17,6 @@ another robot. It has no rules for robots that meet. Ours:
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot, inf
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,9 +211,7 @@ class Fleet:
                     continue
                 now_m = np.hypot(*np.subtract(member.place, other.place))
                 apart_m = np.hypot(*(ahead - other.place).T)
-                too_near = np.flatnonzero(
-                    (apart_m < 2 * self.body.radius_m + KEEP_OFF_M) & (apart_m < now_m - LEAST)
-                )
+                too_near = np.flatnonzero((apart_m < 2 * self.body.radius_m + KEEP_OFF_M) & (apart_m < now_m - LEAST))
                 if len(too_near) and (found_m := max(int(too_near[0]) - 1, 0) * step_m) < gap_m:
                     holder, gap_m = other, found_m
         # Half of the gap: the other one may be coming.
@@ -359,5 +356,3 @@ class Fleet:
             gap_m = float(np.hypot(*(places[:index] - place).T).min()) - 2 * self.body.radius_m
             self.tally.least_gap_m = min(self.tally.least_gap_m, gap_m)
             self.tally.contacts += gap_m < -LEAST
-
-

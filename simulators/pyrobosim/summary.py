@@ -18,7 +18,9 @@ def summary(rows: Sequence[Row]) -> str:
     if not rows:
         return "no episodes"
     episodes = pd.DataFrame(rows)
-    return "\n".join([*_costs(episodes), "", *_improvements(episodes), "", *_travel(episodes), "", *_meetings(episodes)])
+    return "\n".join(
+        [*_costs(episodes), "", *_improvements(episodes), "", *_travel(episodes), "", *_meetings(episodes)]
+    )
 
 
 def _costs(episodes: pd.DataFrame) -> Iterator[str]:
@@ -63,8 +65,8 @@ def _travel(episodes: pd.DataFrame) -> Iterator[str]:
         planned, real = (np.array([leg[key] for leg in legs], dtype=float) for key in ("planned_s", "real_s"))
         ratio = real / planned
         yield (
-            f"  robots: {robots}   {len(legs)} drives, planned {planned.mean():.1f} s, real {real.mean():.1f} s in the mean; "
-            f"real / planned {real.sum() / planned.sum():.2f} over all, median {np.median(ratio):.2f}, "
+            f"  robots: {robots}   {len(legs)} drives, planned {planned.mean():.1f} s, real {real.mean():.1f} s in the "
+            f"mean; real / planned {real.sum() / planned.sum():.2f} over all, median {np.median(ratio):.2f}, "
             f"95 % below {np.quantile(ratio, 0.95):.2f}"
         )
 
@@ -76,7 +78,8 @@ def _meetings(episodes: pd.DataFrame) -> Iterator[str]:
         least = f"{gaps.min():.3f} m" if len(gaps) else "-"
         yield (
             f"  robots: {robots}   contacts {of_team['contacts'].sum()}, least gap {least}; "
-            f"gave way {of_team['gave_way'].sum()} times, stood for others {of_team['held_s'].mean():.1f} s an episode, "
-            f"gave up {of_team['gave_up'].sum()}; steps refused at walls and furniture {of_team['brushes'].sum()}; "
+            f"gave way {of_team['gave_way'].sum()} times, stood for others {of_team['held_s'].mean():.1f} s an "
+            f"episode, gave up {of_team['gave_up'].sum()}; steps refused at walls and furniture "
+            f"{of_team['brushes'].sum()}; "
             f"events refused {of_team['refused'].map(len).sum()}"
         )

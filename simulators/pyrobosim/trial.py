@@ -2,7 +2,7 @@
 
 The live process is `python -m pipeline.live`, started with the map, the containers' places and the task, and told what
 happens through `pipeline.live_client`. Its clock is the simulation's, which stands still while it thinks. On arrival a
-robot detects (`Robot.detect_objects`, partly observed objects), and interacting is to pick the object up and put it back.
+robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the object up and put it back.
 """
 
 import queue

@@ -49,7 +49,9 @@ class Way:
 
     def advance(self, place: Point) -> None:
         """The robot is here: the nearest point ahead of where it was is where it is on its way."""
-        metres = np.arange(self.progress_m, min(self.progress_m + WINDOW_M, self.length_m) + WINDOW_STEP_M, WINDOW_STEP_M)
+        metres = np.arange(
+            self.progress_m, min(self.progress_m + WINDOW_M, self.length_m) + WINDOW_STEP_M, WINDOW_STEP_M
+        )
         away = np.hypot(*(self.at(metres) - place).T)
         self.progress_m = min(float(metres[int(np.argmin(away))]), self.length_m)
 
@@ -88,5 +90,3 @@ def steer(
     left_m = max(way.length_m - way.progress_m, to_end_m)
     speed = min(limit_m_per_s, speed_to_stop_in(left_m, body, dt_s)) * max(0.0, 1 - abs(error) / SLOW_RAD)
     return speed, turn_rate(error, body, dt_s)
-
-

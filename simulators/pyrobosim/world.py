@@ -66,7 +66,7 @@ class World:
 
     @property
     def world_file(self) -> Path:
-        """pyrobosim's YAML."""
+        """The world in pyrobosim's YAML."""
         return self.folder / "world.yaml"
 
 
@@ -91,7 +91,9 @@ def write_world(home: Home, folder: Path, body: Body) -> World:
             break
         left_out |= unusable
         if len(left_out) == len(home.containers):
-            raise InputError(f"home {home.id}: a robot of radius {body.planned_radius_m:.2f} m fits before no container")
+            raise InputError(
+                f"home {home.id}: a robot of radius {body.planned_radius_m:.2f} m fits before no container"
+            )
     held = {container.id: container.objects for container in home.containers}
     containers = tuple(replace(container, objects=held[container.id]) for container in read.containers)
     _write_world(known, rooms, pieces, poses, folder, body)
@@ -188,7 +190,10 @@ def _write_map(home: Home, rooms: Mapping[str, shapely.Polygon], folder: Path) -
 def _entry(container: Container) -> dict[str, Any]:
     """A container as the containers' file has it, from its rectangle."""
     first, second, third, _ = container.footprint
-    width_m, depth_m = hypot(second[0] - first[0], second[1] - first[1]), hypot(third[0] - second[0], third[1] - second[1])
+    width_m, depth_m = (
+        hypot(second[0] - first[0], second[1] - first[1]),
+        hypot(third[0] - second[0], third[1] - second[1]),
+    )
     middle = [(first[axis] + third[axis]) / 2 for axis in (0, 1)]
     return {
         "name": container.id,
@@ -220,7 +225,9 @@ def _navigation_poses(
             continue
         x, y = home_map.cell_center((int(home_map.access[index, 0]), int(home_map.access[index, 1])))
         open_floor = rooms[room_id].buffer(-body.radius_m, join_style="mitre")
-        grown = [one.buffer(body.radius_m, join_style="mitre") for (_, where), one in pieces.items() if where == room_id]
+        grown = [
+            one.buffer(body.radius_m, join_style="mitre") for (_, where), one in pieces.items() if where == room_id
+        ]
         if not shapely.contains_xy(open_floor, x, y) or shapely.intersects_xy(shapely.union_all(grown), x, y):
             continue
         middle = piece.centroid
@@ -244,7 +251,10 @@ def _write_world(
         middle = piece.centroid
         category = f"furniture-{number}"
         facts: dict[str, Any] = {
-            "footprint": {"type": "polygon", "coords": _coordinates(shapely.affinity.translate(piece, -middle.x, -middle.y))},
+            "footprint": {
+                "type": "polygon",
+                "coords": _coordinates(shapely.affinity.translate(piece, -middle.x, -middle.y)),
+            },
             "color": CONTAINER_COLOR if name in poses else OBSTACLE_COLOR,
         }
         if name in poses:

@@ -45,7 +45,10 @@ def dead_end():
     """A room of 3 x 3 m and a corridor of 5 x 0.9 m in which no robot can pass another one."""
     rooms = (Room("room", "Kitchen", box(0, 0, 3, 3)), Room("corridor", "Bedroom", box(3, 1, 8, 1.9)))
     door = Door("door", ("room", "corridor"), (3.0, 1.0), (3.0, 1.9))
-    containers = (table("west", "room", 0.5, 0.5), Container("end", "Stool", "corridor", box(7.6, 1.3, 7.9, 1.6), ("Mug",)))
+    containers = (
+        table("west", "room", 0.5, 0.5),
+        Container("end", "Stool", "corridor", box(7.6, 1.3, 7.9, 1.6), ("Mug",)),
+    )
     return Home("by hand", rooms, (door,), containers, ())
 
 
