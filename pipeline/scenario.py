@@ -23,7 +23,7 @@ from mrtask.analysis.replay_page import render_replay
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.trajectories import draw_trial
 from mrtask.execution.episode import EpisodeResult, run_episode
-from mrtask.execution.scenario import Scenario, make_scenario
+from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
 from mrtask.execution.team import Team
 from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
@@ -66,11 +66,17 @@ def run(arguments: Sequence[str]) -> None:
         console.line(text)
     recorders = {name: Recorder() for name in planners_in_order(options.planners)}
     results = {
-        name: [_run(scenario, name, options, number, recorder) for number in range(options.seeds)]
+        name: [_run(scenario, name, options, number, None if number else recorder) for number in range(options.seeds)]
         for name, recorder in recorders.items()
     }
     for text in table(results, _published(options.published)):
         console.line(text)
+    if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
+        console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
+        in_worlds = [replace(scenario, home=world) for world in worlds]
+        means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
+        for text in table(means, None):
+            console.line(text)
     first = {name: of_seeds[0] for name, of_seeds in results.items()}
     (folder / "traces").mkdir(parents=True, exist_ok=True)
     for name, result in first.items():
@@ -81,10 +87,9 @@ def run(arguments: Sequence[str]) -> None:
     console.line(f"-> {console.shown(folder)}")
 
 
-def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, recorder: Recorder) -> EpisodeResult:
-    """The episode of the seed of this number; the first is recorded."""
+def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, observe: Recorder | None) -> EpisodeResult:
+    """The episode of the seed of this number."""
     trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
-    observe = recorder if number == 0 else None
     return run_episode(
         trial, scenario.home, scenario.home_map, scenario.likelihood, name, options.options_of(name), observe=observe
     )
@@ -109,7 +114,7 @@ def metres(result: EpisodeResult) -> tuple[float, float]:
 
 
 def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTrial | None) -> list[str]:
-    """The planners' metres, means over the seeds, and the paper's where the scenario is one of its."""
+    """The planners' metres, means over seeds or worlds, and the paper's where the scenario is one of its."""
     base_m = _mean_metres(results.get(BASELINE, ()))
     lines = [f"{'planner':<24}{'metres':>8}{'least':>8}{'most':>8}{'together':>10}{'decisions':>11}{'saved':>8}"]
     for name, of_seeds in results.items():

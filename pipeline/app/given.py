@@ -90,6 +90,7 @@ class GivenTrial(Given):
     start: Coordinates | None
     planners: tuple[str, ...] = Field(min_length=1)
     seeds: int = Field(ge=1)
+    drawn_worlds: int = Field(ge=0)
     output_dir: Path
     published: str | None
 
