@@ -169,11 +169,13 @@ class TeamState:
         self.presence_prob[container] = seen
         self.news = True
 
-    def noticed(self, container: int, obj: int, present: bool) -> None:
-        """One object is in the container or not; whether it was searched stays as it is."""
-        if self.presence_prob[container, obj] != float(present):
-            self.presence_prob[container, obj] = float(present)
-            self.news = True
+    def noticed(self, container: int, obj: int, present: bool) -> bool:
+        """One object is in the container or not; whether it was searched stays as it is. True if that is news."""
+        if self.presence_prob[container, obj] == float(present):
+            return False
+        self.presence_prob[container, obj] = float(present)
+        self.news = True
+        return True
 
     def failed(self, container: int, obj: int) -> None:
         """A search (object -1) or an interaction could not be made; what fails too often is given up."""

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mrtask.execution import messages as m
-from mrtask.execution.live import LiveSetup, LiveTeam
+from mrtask.live import messages as m
+from mrtask.live.state import LiveSetup
+from mrtask.live.team import LiveTeam
 from mrtask.tasks.words import ReadTask
 
 

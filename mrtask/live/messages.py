@@ -6,7 +6,7 @@ SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot
 Every event has an ``id`` of the sender's own and the time at which it happened, in seconds on one clock for all.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
@@ -33,38 +33,42 @@ class _Event(Message):
     time_s: Seconds
 
 
-class Pose(_Event):
-    """The robot is at this place."""
-
-    type: Literal["pose"]
+class _OfRobot(_Event):
     robot: Name
+
+
+class _AtPlace(_OfRobot):
     x_m: Metres
     y_m: Metres
 
 
-class Arrived(_Event):
+class _AtContainer(_OfRobot):
+    container: Name
+
+
+class Pose(_AtPlace):
+    """The robot is at this place."""
+
+    type: Literal["pose"]
+
+
+class Arrived(_AtContainer):
     """The robot is at the container that it was ordered to."""
 
     type: Literal["arrived"]
-    robot: Name
-    container: Name
 
 
-class NavigationFailed(_Event):
+class NavigationFailed(_AtContainer):
     """The robot gave up its way to the container."""
 
     type: Literal["navigation_failed"]
-    robot: Name
-    container: Name
     reason: str = Field(default="", max_length=MAX_NAME)
 
 
-class SearchEnded(_Event):
+class SearchEnded(_AtContainer):
     """The robot has searched the container: all objects that it saw; what is not among them is not there."""
 
     type: Literal["search_ended"]
-    robot: Name
-    container: Name
     status: Outcome = "FINISHED"
     objects: tuple[Name, ...] = Field(default=(), max_length=MAX_LISTED)
 
@@ -79,31 +83,25 @@ class ObjectSeen(_Event):
     robot: Name | None = None
 
 
-class InteractionEnded(_Event):
+class InteractionEnded(_AtContainer):
     """The robot has interacted with the object, or could not; ``gone``: because the object is not there."""
 
     type: Literal["interaction_ended"]
-    robot: Name
-    container: Name
     object: Name
     status: Outcome = "FINISHED"
     gone: bool = False
 
 
-class RobotLost(_Event):
+class RobotLost(_OfRobot):
     """The robot takes part no more."""
 
     type: Literal["robot_lost"]
-    robot: Name
 
 
-class RobotJoined(_Event):
+class RobotJoined(_AtPlace):
     """A new robot, or one that was lost, takes part from this place on."""
 
     type: Literal["robot_joined"]
-    robot: Name
-    x_m: Metres
-    y_m: Metres
 
 
 class _Barrier(_Event):
@@ -131,7 +129,7 @@ class RouteCleared(_Barrier):
     type: Literal["route_cleared"]
 
 
-Event = Annotated[
+_Events = (
     Pose
     | Arrived
     | NavigationFailed
@@ -141,9 +139,9 @@ Event = Annotated[
     | RobotLost
     | RobotJoined
     | RouteBlocked
-    | RouteCleared,
-    Field(discriminator="type"),
-]
+    | RouteCleared
+)
+Event = Annotated[_Events, Field(discriminator="type")]
 
 
 class Batch(Message):
@@ -162,21 +160,7 @@ class Hello(Message):
     token: str | None = Field(default=None, max_length=MAX_NAME)
 
 
-Incoming = Annotated[
-    Pose
-    | Arrived
-    | NavigationFailed
-    | SearchEnded
-    | ObjectSeen
-    | InteractionEnded
-    | RobotLost
-    | RobotJoined
-    | RouteBlocked
-    | RouteCleared
-    | Batch
-    | Hello,
-    Field(discriminator="type"),
-]
+_Incoming = _Events | Batch | Hello
 
 
 class Welcome(Message):
@@ -236,18 +220,13 @@ class TaskState(Message):
 
 
 Outgoing = Welcome | Answer | Order | TaskState
-INCOMING: TypeAdapter[Any] = TypeAdapter(Incoming)
+INCOMING: TypeAdapter[Any] = TypeAdapter(Annotated[_Incoming, Field(discriminator="type")])
 
 
 def schemas() -> dict[str, dict[str, Any]]:
     """The JSON Schema of every message, by its ``type``."""
-    incoming = (
-        Pose, Arrived, NavigationFailed, SearchEnded, ObjectSeen, InteractionEnded, RobotLost, RobotJoined,
-        RouteBlocked, RouteCleared, Batch, Hello,
-    )  # fmt: skip
-    models: tuple[type[Message], ...] = (*incoming, Welcome, Answer, Order, TaskState)
     result = {}
-    for model in models:
+    for model in (*get_args(_Incoming), *get_args(Outgoing)):
         schema = model.model_json_schema(mode="validation")
         kind = schema["properties"]["type"]
         result[kind.get("const") or kind["default"]] = schema

@@ -1,10 +1,10 @@
-"""Writes the JSON Schema of every message of `pipeline.live`: python -m pipeline.live_schemas [folder]."""
+"""Writes the JSON Schema of every message of `pipeline.live`: python -m pipeline.live.schemas [folder]."""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from mrtask.execution import messages
+from mrtask.live import messages
 from pipeline.app.tool import main
 
 FOLDER = Path(messages.__file__).parent / "schemas"

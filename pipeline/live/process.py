@@ -3,80 +3,30 @@
     python -m pipeline.live map=lab.yaml containers=containers.yaml task="pillow and remote" team="{r1: [1, 2]}"
     python -m pipeline.live name=apartment1 team="{r1: [5.5, 0.6]}" websocket=8765 state=run/state.json
 
-Messages and their meaning: mrtask/execution/messages.py, as JSON Schema in mrtask/execution/schemas; a client:
-pipeline/live_client.py. Killed and started again with the same state file it goes on. Every key: conf/live.yaml.
+Messages and their meaning: mrtask/live/messages.py, as JSON Schema in mrtask/live/schemas; a client:
+pipeline/live/client.py. Killed and started again with the same state file it goes on. Every key: conf/live.yaml.
 """
 
 import asyncio
 import contextlib
-import ipaddress
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
-from pathlib import Path
-from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
-
-from mrtask.execution.live import LiveSetup, LiveTeam
-from mrtask.execution.live_session import MAX_BYTES, LiveSession
-from mrtask.execution.live_store import restore
 from mrtask.execution.scenario import prior, task_in, with_places
+from mrtask.live.session import MAX_BYTES, LiveSession
+from mrtask.live.state import LiveSetup
+from mrtask.live.store import restore
+from mrtask.live.team import LiveTeam
 from mrtask.maps.ros_map import read_ros_map
-from mrtask.planning.planners import make_planner
-from pipeline.app.given import Coordinates, Given, scenario_files
-from pipeline.app.tool import load_options, main, overrides
+from pipeline.app.given import scenario_files
+from pipeline.app.tool import load_options, overrides
+from pipeline.live.options import GivenTeam
 
 VERBATIM = ("task", "name", "token")
-MIN_TOKEN = 16
-
-LocalPath = Annotated[Path, AfterValidator(lambda path: path.expanduser().absolute())]
-
-
-class GivenTeam(Given):
-    """The options of `pipeline.live`; ``conf/live.yaml`` says what each is."""
-
-    team: dict[str, Coordinates] = Field(min_length=1)
-    decide_by: str
-    state: LocalPath | None
-    log: LocalPath | None
-    websocket: str | None
-    token: str | None
-
-    @field_validator("websocket", mode="before")
-    @classmethod
-    def _with_host(cls, value: object) -> object:
-        return f"127.0.0.1:{value}" if isinstance(value, int) else value
-
-    @model_validator(mode="after")
-    def _safe(self) -> Self:
-        make_planner(self.decide_by, self.planner_options)
-        if self.websocket is not None:
-            host, port = self.address
-            if not 0 <= port <= 65535:
-                raise ValueError(f"websocket={self.websocket}: a port is 0 to 65535")
-            if not _is_loopback(host) and len(self.token or "") < MIN_TOKEN:
-                raise ValueError(
-                    f"websocket={self.websocket} can be reached from other machines: give a token of at least "
-                    f"{MIN_TOKEN} characters, or 127.0.0.1"
-                )
-        return self
-
-    @property
-    def planner_options(self) -> Mapping[str, object]:
-        """The options of the planner that decides."""
-        return self.planner.get(self.decide_by.rsplit(".", 1)[-1], {})
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Where the WebSocket listens."""
-        host, colon, port = (self.websocket or "").rpartition(":")
-        if not colon or not port.isdigit():
-            raise ValueError(f"websocket={self.websocket}: give a port or host:port")
-        return host.strip("[]"), int(port)
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -137,7 +87,7 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
         print(text, flush=True)
     async with contextlib.AsyncExitStack() as stack:
         if options.websocket is not None:
-            from pipeline.live_socket import serve
+            from pipeline.live.websocket import serve
 
             port = await stack.enter_async_context(serve(hub, *options.address, options.token))
             print(f"listening on port {port}", file=sys.stderr, flush=True)
@@ -184,14 +134,3 @@ def lines_of(descriptor: int) -> Iterator[bytes]:
             held, too_long = b"", True
     if held.strip() and not too_long:
         yield held
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-if __name__ == "__main__":
-    main(run, __doc__ or "")

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrtask.errors import InputError
-from mrtask.execution.live_session import MAX_BYTES, LiveSession, replay
-from mrtask.execution.live_store import restore
-from mrtask.execution.messages import schemas
-from tests.execution.live_fuzz import Stream
-from tests.execution.test_live import two_robots
+from mrtask.live.messages import schemas
+from mrtask.live.session import MAX_BYTES, LiveSession, replay
+from mrtask.live.store import restore
+from tests.live.fuzz import Stream
+from tests.live.test_team import two_robots
 
 
 @pytest.fixture
@@ -54,9 +54,9 @@ def test_lines_that_are_no_message_are_refused_with_the_reason(session, line, sa
 
 
 def test_every_message_has_its_schema_and_keeps_to_it(session):
-    folder = files("mrtask.execution").joinpath("schemas")
+    folder = files("mrtask.live").joinpath("schemas")
     written = {path.name.removesuffix(".json"): json.loads(path.read_text()) for path in folder.iterdir()}
-    assert written == schemas(), "write them anew: python -m pipeline.live_schemas"
+    assert written == schemas(), "write them anew: python -m pipeline.live.schemas"
     lines = session.begin()
     lines += [*session.receive('{"type": "hello"}')[0], *session.receive("[]")[0]]
     kinds = set()

@@ -1,6 +1,6 @@
 """A live team behind lines of JSON: whatever comes in is answered, nothing that comes in can stop it.
 
-Each line is one message (`mrtask.execution.messages`). After every event that was taken in the state is saved, before
+Each line is one message (`mrtask.live.messages`). After every event that was taken in the state is saved, before
 anything is said, so that what was answered is never lost; every message in and out can be logged for `replay`.
 """
 
@@ -12,11 +12,13 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from mrtask.errors import InputError
-from mrtask.execution import messages as m
-from mrtask.execution.live import LiveSetup, LiveTeam
-from mrtask.execution.live_store import save
 from mrtask.files import replacing
 from mrtask.homes.home import Point
+from mrtask.live import messages as m
+from mrtask.live.orders import task_state, welcome
+from mrtask.live.state import LiveSetup
+from mrtask.live.store import save
+from mrtask.live.team import LiveTeam
 
 MAX_BYTES = 262_144
 MAX_DEPTH = 6
@@ -36,7 +38,7 @@ class LiveSession:
         """What to say first: `Welcome`, all orders in force, the task's state."""
         news = self.live.begin()
         self._keep()
-        lines = self._lines([self.live.welcome(), *self.live.present_orders(), news[-1]])
+        lines = self._lines([welcome(self.live), *self.live.present_orders(), news[-1]])
         self._write("begin", lines)
         return lines
 
@@ -54,8 +56,7 @@ class LiveSession:
             self._write("refused", answers)
             return answers, []
         if isinstance(message, m.Hello):
-            orders = self.live.present_orders()
-            return self._lines([self.live.welcome(), *orders, self.live.task_state()]), []
+            return self._lines([welcome(self.live), *self.live.present_orders(), task_state(self.live)]), []
         events, more = (message.events, message.more) if isinstance(message, m.Batch) else ((message,), False)
         replies = self.live.handle(events, more=more)
         self._keep()

@@ -1,6 +1,6 @@
 """Random event streams against a live team, with what must hold whatever comes in.
 
-By hand: ``python -m tests.execution.live_fuzz 10000``.
+By hand: ``python -m tests.live.fuzz 10000``.
 """
 
 import json
@@ -8,8 +8,8 @@ import random
 
 import numpy as np
 
-from mrtask.execution.live_session import LiveSession
 from mrtask.execution.team_state import LOST
+from mrtask.live.session import LiveSession
 
 KINDS = (
     "pose", "arrived", "navigation_failed", "search_ended", "object_seen", "interaction_ended", "robot_lost",
@@ -170,7 +170,7 @@ def main(count):
     from mrtask.homes.procthor import parse_house
     from mrtask.maps.home_map import build_map
     from tests.conftest import ASSETS, make_two_room_house
-    from tests.execution.test_live import two_robots
+    from tests.live.test_team import two_robots
 
     home = parse_house(make_two_room_house(), ASSETS, "two-rooms", 0)
     home_map = build_map(home)

@@ -12,11 +12,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.execution.barriers import Barrier, barred_map
-from mrtask.execution.live import LiveSetup, LiveTeam
 from mrtask.execution.motion import Position, plan_route
 from mrtask.execution.team_state import Robot
 from mrtask.execution.trace import Leg, Letter
+from mrtask.live.barriers import Barrier, barred_map
+from mrtask.live.state import LiveSetup
+from mrtask.live.team import LiveTeam
 from mrtask.planning.problem import Assignment
 
 STATE_VERSION: Final = 1

@@ -10,15 +10,17 @@ from pydantic import TypeAdapter
 
 from mrtask.errors import InputError
 from mrtask.execution.episode import run_episode
-from mrtask.execution.live import LiveSetup, LiveTeam
-from mrtask.execution.live_store import StateError, restore, save
-from mrtask.execution.messages import Event
 from mrtask.execution.team import RobotSpec
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
+from mrtask.live.messages import Event
+from mrtask.live.orders import task_state
+from mrtask.live.state import LiveSetup
+from mrtask.live.store import StateError, restore, save
+from mrtask.live.team import LiveTeam
 from mrtask.maps.home_map import build_map
 from mrtask.planning.planners import PLANNERS
 from mrtask.tasks.words import ReadTask
-from tests.execution.live_world import World, answers_of, live_team, orders_of, setup_of
+from tests.live.world import World, answers_of, live_team, orders_of, setup_of
 
 EVENT = TypeAdapter(Event)
 
@@ -163,7 +165,7 @@ def test_a_failed_search_is_tried_again_but_not_for_ever(live):
             break
         robot = live.names[acting[0]]
         one(live, "search_ended", float(attempt), robot=robot, container=target_of(live, robot), status="FAILED")
-    state = live.task_state()
+    state = task_state(live)
     assert state.status == "stuck"
     assert "Egg" in state.reason and "Pillow" in state.reason
     answer, orders = one(live, "object_seen", 50.0, container=next(iter(live.containers)), object="Egg")

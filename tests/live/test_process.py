@@ -14,8 +14,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from pipeline.live import lines_of
-from pipeline.live_client import Client, PipeClient, SocketClient
+from pipeline.live.client import Client, PipeClient, SocketClient
+from pipeline.live.process import lines_of
 from tests.pipeline.harness import ROOT
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
 from tests.tasks.naive_ltl import is_good_prefix
@@ -233,14 +233,14 @@ def test_the_socket_wants_its_token_and_listens_on_this_machine_alone(tmp_path: 
 def test_mistakes_are_told_at_once(
     tmp_path: Path, options: list[str], said: str, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pipeline import live
     from pipeline.app.tool import main
+    from pipeline.live import process
 
     write_lab(tmp_path, CONTAINERS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", command(tmp_path, *options)[2:])
     with pytest.raises(SystemExit) as stop:
-        main(live.run, live.__doc__ or "")
+        main(process.run, process.__doc__ or "")
     assert stop.value.code == 2
     assert said in capsys.readouterr().err
 
@@ -254,6 +254,6 @@ def test_lines_are_cut_where_they_are_too_long(tmp_path: Path) -> None:
 
 
 def test_the_client_is_short_and_needs_nothing_of_ours() -> None:
-    text = (ROOT / "pipeline" / "live_client.py").read_text()
+    text = (ROOT / "pipeline" / "live" / "client.py").read_text()
     assert len(text.splitlines()) <= 100
     assert "import mrtask" not in text and "from mrtask" not in text and "from pipeline" not in text

@@ -10,8 +10,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.asyncio.server import serve as listen
 from websockets.exceptions import ConnectionClosed
 
-from mrtask.execution.live_session import MAX_BYTES, Unreadable, parse
-from mrtask.execution.messages import Hello
+from mrtask.live.messages import Hello
+from mrtask.live.session import MAX_BYTES, Unreadable, parse
 
 HELLO_WITHIN_S = 10.0
 REFUSED = 1008
