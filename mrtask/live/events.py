@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrtask.execution.motion import Position
+from mrtask.execution.robot import LOST, Robot
 from mrtask.execution.scenario import free_cell_near
-from mrtask.execution.team_state import LOST, Robot
 from mrtask.live import messages as m
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.orders import doing
@@ -51,6 +52,7 @@ def _navigation_failed(live: LiveState, event: m.NavigationFailed) -> str | None
     _check_under_way(live, event, robot, container)
     live.team.stop(robot)
     live.team.failed(container, -1)
+    live.order_ended(event.robot)
     live.surprise = True
     return None
 
@@ -75,25 +77,36 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
             live.team.arrived(robot)
         if robot.mode == "search":
             live.team.search_ended(robot, None)
+        live.order_ended(event.robot)
         live.surprise = True
         return None
-    row = np.zeros(len(live.setup.task.propositions), dtype=bool)
-    for name in (*event.objects, *(place for place in live.setup.task.places if place == event.container)):
-        if (obj := live.object(name)) is not None:
-            row[obj] = True
-    later = live.seen_s[container] > event.time_s
-    if not searching and later.all():
+    fresh = live.seen_s[container] <= event.time_s
+    if not searching and not fresh.any():
         raise Refused(f"{event.container} was seen later, at {live.seen_s[container].min():g} s")
-    row = np.where(later, live.team.presence_prob[container] > 0, row)
-    live.seen_s[container, ~later] = event.time_s
+    live.seen_s[container, fresh] = event.time_s
     if arriving:
         live.team.arrived(robot)
-    if not live.team.searched[container] or (row != (live.team.presence_prob[container] > 0)).any():
-        live.team.learned(container, row)
-        live.surprise |= not searching
+    seen = _detections(live, event)
     if robot.mode == "search" and robot.place == container:
-        live.team.search_ended(robot, row)
-    return None if searching else f"kept what was seen; {event.robot} was not searching there"
+        live.team.search_ended(robot, seen, fresh)
+    else:
+        live.surprise |= live.team.learned(container, seen, fresh) and not searching
+    if not searching:
+        return f"kept what was seen; {event.robot} was not searching there"
+    live.order_ended(event.robot)
+    return None
+
+
+def _detections(live: LiveState, event: m.SearchEnded) -> NDArray[np.float64]:
+    """[O] the confidence with which each task object was detected; a place to which something is delivered is there."""
+    seen = np.zeros(len(live.setup.task.propositions))
+    for one in event.objects:
+        name, confidence = (one, 1.0) if isinstance(one, str) else (one.object, one.confidence)
+        if (obj := live.object(name)) is not None:
+            seen[obj] = max(seen[obj], confidence)
+    if event.container in live.setup.task.places:
+        seen[live.setup.task.propositions.index(event.container)] = 1.0
+    return seen
 
 
 def _object_seen(live: LiveState, event: m.ObjectSeen) -> str | None:
@@ -103,7 +116,8 @@ def _object_seen(live: LiveState, event: m.ObjectSeen) -> str | None:
     if event.time_s < live.seen_s[container, obj]:
         raise Refused(f"it was seen later whether {event.object} is there, at {live.seen_s[container, obj]:g} s")
     live.seen_s[container, obj] = event.time_s
-    live.surprise |= live.team.noticed(container, obj, event.present)
+    seen = event.confidence if event.present else 1.0 - event.confidence
+    live.surprise |= live.team.glimpsed(container, obj, seen)
     return None
 
 
@@ -119,12 +133,14 @@ def _interaction_ended(live: LiveState, event: m.InteractionEnded) -> str | None
             live.surprise = True
             return "done before the robot was lost"
         live.ended.append(number)
+        live.order_ended(event.robot)
         return None
     if robot.mode == LOST:
         raise Refused(f"robot {event.robot!r} is lost")
     if event.gone:
         live.seen_s[container, obj] = max(event.time_s, live.seen_s[container, obj])
     team.interaction_failed(robot, event.gone)
+    live.order_ended(event.robot)
     live.surprise = True
     return None
 

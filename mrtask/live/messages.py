@@ -19,6 +19,7 @@ MAX_METRES = 1e6
 Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
 Seconds = Annotated[float, Field(ge=0, le=MAX_TIME_S)]
 Metres = Annotated[float, Field(ge=-MAX_METRES, le=MAX_METRES)]
+Confidence = Annotated[float, Field(gt=0, le=1)]
 Outcome = Literal["FINISHED", "FAILED"]
 
 
@@ -65,12 +66,19 @@ class NavigationFailed(_AtContainer):
     reason: str = Field(default="", max_length=MAX_NAME)
 
 
+class Detection(Message):
+    """An object that was detected, with the probability that this was a detection and no noise."""
+
+    object: Name
+    confidence: Confidence
+
+
 class SearchEnded(_AtContainer):
-    """The robot has searched the container: all objects that it saw; what is not among them is not there."""
+    """The robot has searched the container: all objects that it saw there; what is not among them was not detected."""
 
     type: Literal["search_ended"]
     status: Outcome = "FINISHED"
-    objects: tuple[Name, ...] = Field(default=(), max_length=MAX_LISTED)
+    objects: tuple[Name | Detection, ...] = Field(default=(), max_length=MAX_LISTED)
 
 
 class ObjectSeen(_Event):
@@ -80,6 +88,7 @@ class ObjectSeen(_Event):
     container: Name
     object: Name
     present: bool = True
+    confidence: Confidence = 1.0
     robot: Name | None = None
 
 

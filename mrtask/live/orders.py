@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mrtask.execution.team_state import LOST, Robot
+from mrtask.execution.robot import LOST, Robot
 from mrtask.homes.home import Point
 from mrtask.live import messages as m
 from mrtask.live.state import LiveState
@@ -82,6 +82,6 @@ def _why_stuck(live: LiveState) -> str:
     ways_m = [team.position_of(team.robots[number]).distances_m(team.home_map) for number in live.present]
     reachable = np.isfinite(ways_m).any(axis=0)
     missing = team.missing()
-    if missing and team.searched[reachable].all():
+    if missing and team.belief.searched[reachable].all():
         return f"found in no container that can be reached: {', '.join(missing)}"
     return "every robot waits"

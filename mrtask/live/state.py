@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.errors import InputError
+from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
+from mrtask.execution.robot import LOST, Robot
 from mrtask.execution.scenario import free_cell_near
 from mrtask.execution.team import RobotSpec
-from mrtask.execution.team_state import LOST, Robot, TeamState, known_world
+from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
 from mrtask.live.barriers import Barrier
 from mrtask.maps.home_map import HomeMap
@@ -61,14 +63,13 @@ class LiveState:
         self.setup = setup
         self.containers = {container.id: index for index, container in enumerate(setup.home.containers)}
         self.objects = {name_to_text(name): index for index, name in enumerate(setup.task.propositions)}
-        presence_prob, searched = known_world(setup.likelihood, setup.home_map.reachable, {})
+        sensor = setup.spec.perception.sensor(setup.task.propositions)
         self.names = list(robots)
         self.team = TeamState(
             list(self.containers),
             setup.home_map,
             build_automaton(setup.task.formula, setup.task.propositions),
-            presence_prob,
-            searched,
+            prior_belief(setup.likelihood, setup.home_map.reachable, sensor),
             spec=setup.spec,
             starts=[Position.at(free_cell_near(setup.home_map, point, POSE_REACH_M)) for point in robots.values()],
         )
@@ -76,7 +77,7 @@ class LiveState:
         self.barriers: dict[str, Barrier] = {}
         self.ids: dict[str, None] = {}
         """Of the events that were taken in, the last at the end."""
-        self.seen_s = np.full(presence_prob.shape, -np.inf)
+        self.seen_s = np.full(setup.likelihood.shape, -np.inf)
         """[C, O] when it was last seen whether the object is there."""
         self.heard_s = [0.0] * len(self.names)
         """[R] the time of the last pose."""
@@ -117,6 +118,10 @@ class LiveState:
         if name not in self.containers:
             raise Refused(f"no container {name!r}; there are: {_listed(self.containers)}")
         return self.containers[name]
+
+    def order_ended(self, robot: str) -> None:
+        """The robot has ended what it was ordered to: the same again is a new order."""
+        self.told.pop(robot, None)
 
     def object(self, name: str) -> int | None:
         """A task object's index, None for any other object."""

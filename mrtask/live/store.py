@@ -13,14 +13,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mrtask.errors import InputError
 from mrtask.execution.motion import Position, plan_route
-from mrtask.execution.team_state import Robot
+from mrtask.execution.robot import Robot
 from mrtask.execution.trace import Leg, Letter
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.state import LiveSetup
 from mrtask.live.team import LiveTeam
 from mrtask.planning.problem import Assignment
 
-STATE_VERSION: Final = 1
+STATE_VERSION: Final = 2
 
 
 class StateError(InputError):
@@ -49,13 +49,16 @@ class _Robot(_Part):
 
 
 class _State(_Part):
-    version: Literal[1]
+    version: Literal[2]
     fingerprint: str
     time_s: float
     state: int
     news: bool
     searched: tuple[bool, ...]
     presence_prob: tuple[tuple[float, ...], ...]
+    posterior: tuple[tuple[float, ...], ...]
+    detected: tuple[tuple[bool, ...], ...]
+    searches: tuple[int, ...]
     seen_s: tuple[tuple[float | None, ...], ...]
     robots: tuple[_Robot, ...]
     letters: tuple[Letter, ...]
@@ -84,7 +87,7 @@ def fingerprint(setup: LiveSetup) -> str:
 
 def save(live: LiveTeam) -> str:
     """The state as JSON; take it between two calls of `LiveTeam.handle`."""
-    team = live.team
+    team, belief = live.team, live.team.belief
     robots = [
         _Robot(
             name=name,
@@ -110,12 +113,15 @@ def save(live: LiveTeam) -> str:
         time_s=team.time_s,
         state=team.state,
         news=team.news,
-        searched=tuple(map(bool, team.searched)),
-        presence_prob=tuple(tuple(map(float, row)) for row in team.presence_prob),
+        searched=tuple(map(bool, belief.searched)),
+        presence_prob=tuple(tuple(map(float, row)) for row in belief.presence_prob),
+        posterior=tuple(tuple(map(float, row)) for row in belief.posterior),
+        detected=tuple(tuple(map(bool, row)) for row in belief.detected),
+        searches=tuple(map(int, belief.searches)),
         seen_s=tuple(tuple(float(at) if np.isfinite(at) else None for at in row) for row in live.seen_s),
         robots=tuple(robots),
         letters=tuple(team.letters),
-        failures=tuple((*key, count) for key, count in team.failures.items()),
+        failures=tuple((*key, count) for key, count in belief.failures.items()),
         barriers=live.barriers,
         start=team.start,
         decisions=live.decisions,
@@ -146,16 +152,19 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
         raise StateError("the state is of another home, map or task; give those it was saved with, or another file")
     live = LiveTeam(setup, {robot.name: setup.home_map.cell_center(robot.position.back) for robot in state.robots})
     team = live.team
-    shape = team.presence_prob.shape
-    team.searched = np.array(state.searched)
-    team.presence_prob = np.array(state.presence_prob, dtype=float).reshape(shape)
+    belief = team.belief
+    shape = belief.presence_prob.shape
+    belief.searched, belief.searches = np.array(state.searched), np.array(state.searches)
+    belief.presence_prob = np.array(state.presence_prob, dtype=float).reshape(shape)
+    belief.posterior = np.array(state.posterior, dtype=float).reshape(shape)
+    belief.detected = np.array(state.detected, dtype=bool).reshape(shape)
+    belief.failures = {(container, obj): count for container, obj, count in state.failures}
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version
     if live.barriers:
         team.use_map(barred_map(setup.home_map, list(live.barriers.values())))
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
     team.letters = list(state.letters)
-    team.failures = {(container, obj): count for container, obj, count in state.failures}
     team.robots = [
         Robot(
             position=one.position,

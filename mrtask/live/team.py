@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mrtask.errors import InputError
-from mrtask.execution.team_state import LOST
+from mrtask.execution.robot import LOST
 from mrtask.execution.trials import key_seed
 from mrtask.homes.home import Point
 from mrtask.live import messages as m

@@ -10,6 +10,7 @@ from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
 from mrtask.likelihood.table import build_table
+from mrtask.tasks.words import read_task
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import Config, Evaluation, EvaluationHomes, UserError, content_hash
@@ -59,9 +60,11 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuses what can be refused before any work: the formula and the files."""
+    """Refuses what can be refused before any work: the formula or the task and the files."""
     if options.formula is not None:
         formula_objects(options.formula)
+    if options.task is not None:
+        read_task(options.task, None, ())
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 
@@ -76,7 +79,7 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     unseen, homes = _unseen_homes(options.homes, config.homes.source, home_set, model)
     size_classes = _size_classes(options.size_classes, homes)
     identity = _identity(config, model, unseen)
-    objects = formula_objects(options.formula) if options.formula is not None else ()
+    formula, objects = task_of(options, unseen)
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
@@ -84,9 +87,14 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
-            formula=options.formula,
+            formula=formula,
             formula_objects=objects,
-            robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            robot=RobotSpec(
+                options.speed_m_per_s,
+                options.search_time_s,
+                options.interact_time_s,
+                config.perception.perception(),
+            ),
             tasks_per_home=options.tasks_per_home,
             unsearched_share=options.unsearched_share,
             cost=options.cost,
@@ -105,6 +113,15 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         experiment=config.experiment,
         config=config.model_dump(mode="json"),
     )
+
+
+def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
+    """The formula that is asked for, in its own terms or in words about these homes, and its objects; or none."""
+    if options.task is not None:
+        names = {name for home in homes for container in home.containers for name in container.objects}
+        read = read_task(options.task, names, ())
+        return read.formula, read.propositions
+    return options.formula, formula_objects(options.formula) if options.formula is not None else ()
 
 
 def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
@@ -164,7 +181,11 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
         map=config.map,
         homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT)
-        | {"home_order": options.homes.order, "belief": config.belief.model_dump() if config.belief.adapt else None},
+        | {
+            "home_order": options.homes.order,
+            "belief": config.belief.model_dump() if config.belief.adapt else None,
+            "perception": config.perception.model_dump(),
+        },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
         planner={name: config.planner_options(name) | variants.get(name, {}) for name in options.planners},
         model_version=model.version,

@@ -2,13 +2,15 @@
 
 import ipaddress
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
+from mrtask.execution.team import RobotSpec
 from mrtask.planning.planners import make_planner
 from pipeline.app.given import Coordinates, Given
-from pipeline.base.config import LocalPath
+from pipeline.base.config import LocalPath, Perception
 
 MIN_TOKEN = 16
 
@@ -18,6 +20,7 @@ class GivenTeam(Given):
 
     team: dict[str, Coordinates] = Field(min_length=1)
     decide_by: str
+    perception: Perception
     state: LocalPath | None
     log: LocalPath | None
     websocket: str | None
@@ -41,6 +44,11 @@ class GivenTeam(Given):
                     f"{MIN_TOKEN} characters, or 127.0.0.1"
                 )
         return self
+
+    @property
+    def spec(self) -> RobotSpec:
+        """What the robots are like."""
+        return replace(super().spec, perception=self.perception.perception())
 
     @property
     def planner_options(self) -> Mapping[str, object]:

@@ -8,7 +8,7 @@ import random
 
 import numpy as np
 
-from mrtask.execution.team_state import LOST
+from mrtask.execution.robot import LOST
 from mrtask.live.session import LiveSession
 
 KINDS = (
@@ -138,10 +138,10 @@ class Stream:
 
     def check_state(self):
         live, team = self.live, self.live.team
-        assert ((team.presence_prob >= 0) & (team.presence_prob <= 1)).all()
+        assert ((team.belief.presence_prob >= 0) & (team.belief.presence_prob <= 1)).all()
         for (container, name), (_, present) in self.found.items():
             obj = live.setup.task.propositions.index(name)
-            assert team.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
+            assert team.belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
         assert team.state != team.automaton.sink
         assert len(live.names) == len(team.robots) == len(live.heard_s)
@@ -162,7 +162,9 @@ class Stream:
                 assert all(grid.free[cell] for cell in cells), "a route through what is blocked"
             if order["action"] == "interact":
                 obj = live.setup.task.propositions.index(order["object"])
-                assert team.presence_prob[live.containers[order["container"]], obj] > 0, "an object that is not there"
+                assert team.belief.presence_prob[live.containers[order["container"]], obj] > 0, (
+                    "an object that is not there"
+                )
 
 
 def main(count):

@@ -9,25 +9,22 @@ import pytest
 from pydantic import TypeAdapter
 
 from mrtask.errors import InputError
-from mrtask.execution.episode import run_episode
+from mrtask.execution.perception import Perception, Rates
 from mrtask.execution.team import RobotSpec
-from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.live.messages import Event
 from mrtask.live.orders import task_state
 from mrtask.live.state import LiveSetup
 from mrtask.live.store import StateError, restore, save
 from mrtask.live.team import LiveTeam
 from mrtask.maps.home_map import build_map
-from mrtask.planning.planners import PLANNERS
 from mrtask.tasks.words import ReadTask
-from tests.live.world import World, answers_of, live_team, orders_of, setup_of
+from tests.live.twins import HONEST, check_twins, play, sample
+from tests.live.world import World, answers_of, orders_of
 
 EVENT = TypeAdapter(Event)
 
-OPTIONS = {"pouct": {"samples": 25}, "pouct_paper": {"samples": 25}}
-SPECS = [RobotSpec(), RobotSpec(0.7, 1.5, 2.5), RobotSpec(1.0, 0.0, 1.0), RobotSpec(1.0, 2.0, 0.0)]
 TRIALS = 12
-"""100 by hand."""
+"""100 by hand: tests/live/twins.py."""
 
 
 @pytest.fixture(scope="module")
@@ -36,45 +33,10 @@ def trials(generated_homes):
     return [sample(generated_homes, maps, number) for number in range(TRIALS)]
 
 
-def sample(homes, maps, number):
-    size_class, robots = ("small", "medium")[number % 2], 1 + number % 3
-    trial = sample_trial(
-        size_class,
-        robots,
-        number,
-        home_order(homes, size_class, robots, 0),
-        lambda home: maps[home.id],
-        seed=0,
-        options=TrialOptions(robot=SPECS[number % 4]),
-    )
-    home = next(home for home in homes if home.id == trial.home_id)
-    likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
-    return trial, home, maps[home.id], likelihood
-
-
-def world_of(trial, home):
-    spec = trial.team.spec
-    contents = {container.id: container.objects for container in home.containers}
-    return World(contents, spec.speed_m_per_s, spec.search_time_s, spec.interact_time_s)
-
-
-def play(live, world):
-    world.obey(live.begin())
-    while not live.team.accepted and world.settle(live):
-        pass
-    return live
-
-
-@pytest.mark.parametrize("planner", [name for name in PLANNERS if name != "known"])
+@pytest.mark.parametrize("planner", HONEST)
 def test_live_team_and_simulated_episode_do_the_same(trials, planner):
-    for trial, home, home_map, likelihood in trials:
-        options = OPTIONS.get(planner)
-        simulated = run_episode(trial, home, home_map, likelihood, planner, options)
-        live = live_team(setup_of(trial, home, home_map, likelihood, planner, options), trial)
-        play(live, world_of(trial, home))
-        assert live.team.accepted == (simulated.status == "accepted")
-        assert live.team.trace() == simulated.trace
-        assert live.decisions == simulated.decisions
+    for trial in trials:
+        check_twins(*trial, planner)
 
 
 @pytest.fixture
@@ -82,11 +44,12 @@ def live(two_room_home, two_room_map):
     return two_robots(two_room_home, two_room_map)
 
 
-def two_robots(home, home_map, planner="greedy", formula="F Egg & F Pillow"):
+def two_robots(home, home_map, planner="greedy", formula="F Egg & F Pillow", likely=(), perception=None):
     """Both in the kitchen; the egg is in the fridge, the pillow on the bed."""
     task = ReadTask(formula, ("Egg", "Pillow"))
-    likelihood = np.full((len(home.containers), 2), 0.2)
-    setup = LiveSetup(home, home_map, formula, task, likelihood, RobotSpec(1.0, 2.0, 2.0), planner)
+    likelihood = np.array([[0.5 if container.id in likely else 0.2] * 2 for container in home.containers])
+    spec = RobotSpec(1.0, 2.0, 2.0, perception or Perception())
+    setup = LiveSetup(home, home_map, formula, task, likelihood, spec, planner)
     return LiveTeam(setup, {"r1": (1.5, 1.5), "r2": (2.5, 1.5)})
 
 
@@ -138,7 +101,7 @@ def test_a_find_in_passing_redirects_the_team(two_room_home, two_room_map):
     assert bed not in {order.container for order in orders.values()}
     answer, _ = one(live, "object_seen", 0.5, container=bed, object="pillow")
     assert answer.status == "accepted"
-    assert live.team.presence_prob[live.containers[bed], 1] == 1.0
+    assert live.team.belief.presence_prob[live.containers[bed], 1] == 1.0
     assert bed in {target_of(live, "r1"), target_of(live, "r2")}
 
 
@@ -152,7 +115,7 @@ def test_an_object_that_is_gone_is_looked_for_elsewhere(live):
     _, orders = one(
         live, "interaction_ended", 5.0, robot=name, container=place, object="Egg", status="FAILED", gone=True
     )
-    assert live.team.presence_prob[live.containers[place], 0] == 0.0
+    assert live.team.belief.presence_prob[live.containers[place], 0] == 0.0
     assert not live.team.letters
     assert orders[name].action == "navigate" and orders[name].container != place
 
@@ -170,6 +133,36 @@ def test_a_failed_search_is_tried_again_but_not_for_ever(live):
     assert "Egg" in state.reason and "Pillow" in state.reason
     answer, orders = one(live, "object_seen", 50.0, container=next(iter(live.containers)), object="Egg")
     assert answer.status == "accepted" and orders, "news gets the team going again"
+
+
+def test_what_failed_is_ordered_again_although_the_order_is_the_same(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map, formula="F Egg")
+    first = begin(live)["r1"]
+    _, orders = one(live, "navigation_failed", 1.0, robot="r1", container=first.container)
+    assert (orders["r1"].action, orders["r1"].container) == ("navigate", first.container)
+    one(live, "arrived", 2.0, robot="r1", container=first.container)
+    _, orders = one(live, "search_ended", 3.0, robot="r1", container=first.container, status="FAILED")
+    assert (orders["r1"].action, orders["r1"].container) == ("search", first.container)
+    _, orders = one(live, "search_ended", 4.0, robot="r1", container=first.container, objects=["Egg"])
+    assert (orders["r1"].action, orders["r1"].object) == ("interact", "Egg")
+    failed = {"robot": "r1", "container": first.container, "object": "Egg", "status": "FAILED"}
+    _, orders = one(live, "interaction_ended", 5.0, **failed)
+    assert (orders["r1"].action, orders["r1"].object) == ("interact", "Egg")
+
+
+def test_a_second_search_is_ordered_where_the_first_may_have_missed_something(two_room_home, two_room_map):
+    fridge = two_room_home.containers[0].id
+    perception = Perception(Rates(0.6, 0.0))
+    live = two_robots(two_room_home, two_room_map, formula="F Egg", likely=[fridge], perception=perception)
+    orders = begin(live)
+    name = next(name for name, order in orders.items() if order.container == fridge)
+    one(live, "arrived", 2.0, robot=name, container=fridge)
+    _, orders = one(live, "search_ended", 3.0, robot=name, container=fridge, objects=[])
+    assert live.team.belief.posterior[0, 0] == pytest.approx(0.2 / 0.7)
+    assert (orders[name].action, orders[name].container) == ("search", fridge), "0.29 there, 0.2 elsewhere"
+    seen = [{"object": "egg", "confidence": 0.9}]
+    _, orders = one(live, "search_ended", 4.0, robot=name, container=fridge, objects=seen)
+    assert (orders[name].action, orders[name].object) == ("interact", "Egg")
 
 
 def test_a_lost_robots_target_is_taken_over_and_it_can_come_back(live):
@@ -230,10 +223,10 @@ def test_late_repeated_and_reordered_events(live):
     assert answers_of(live.handle([searched]))[0].status == "duplicate"
     older, _ = one(live, "search_ended", 1.5, robot="r2", container=place, objects=[])
     assert older.status == "rejected" and "seen later" in older.reason
-    assert live.team.presence_prob[live.containers[place], 0] == 1.0
+    assert live.team.belief.presence_prob[live.containers[place], 0] == 1.0
     newer, _ = one(live, "object_seen", 4.0, container=place, object="Egg", present=False)
     assert newer.status == "accepted"
-    assert live.team.presence_prob[live.containers[place], 0] == 0.0
+    assert live.team.belief.presence_prob[live.containers[place], 0] == 0.0
     other, _ = one(live, "arrived", 4.0, robot="r1", container="nowhere")
     assert other.status == "rejected" and place in other.reason
     early, _ = one(live, "pose", 1e8, robot="r1", x_m=1.0, y_m=1.5)
@@ -245,8 +238,8 @@ def test_what_was_seen_is_kept_whoever_saw_it(live):
     unasked = next(name for name in live.containers if name not in {order.container for order in orders.values()})
     answer, _ = one(live, "search_ended", 1.0, robot="r1", container=unasked, objects=["pillow"])
     assert answer.status == "accepted" and "kept" in answer.reason
-    assert live.team.searched[live.containers[unasked]]
-    assert live.team.presence_prob[live.containers[unasked]].tolist() == [0.0, 1.0]
+    assert live.team.belief.searched[live.containers[unasked]]
+    assert live.team.belief.presence_prob[live.containers[unasked]].tolist() == [0.0, 1.0]
 
 
 def test_poses_move_the_robot_and_its_time_of_arrival(live):

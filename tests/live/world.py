@@ -44,7 +44,9 @@ class World:
     search_time_s: float = 0.0
     interact_time_s: float = 0.0
     time_s: float = 0.0
+    detect: object = None  # (container, number of the search) -> objects; None: all that is there
     count: int = 0
+    searches: dict = field(default_factory=dict)  # container -> how often it was searched
     due: dict = field(default_factory=dict)  # robot -> (time, order)
 
     def obey(self, replies):
@@ -79,9 +81,6 @@ class World:
         now_s = self.time_s
         while events:
             self.obey(live.handle(events, more=True))
-            self.due = {
-                robot: due for robot, due in self.due.items() if due[1].action != "search" or self.search_time_s
-            }
             following = min([at for at, _ in self.due.values()], default=np.inf)
             events = self.step() if following <= now_s + 1e-9 else []
         self.time_s = now_s
@@ -99,7 +98,9 @@ class World:
         if order.action == "navigate":
             return m.Arrived(type="arrived", **common)
         if order.action == "search":
-            return m.SearchEnded(type="search_ended", objects=tuple(self.contents[order.container]), **common)
+            search = self.searches[order.container] = self.searches.get(order.container, -1) + 1
+            seen = self.detect(order.container, search) if self.detect else tuple(self.contents[order.container])
+            return m.SearchEnded(type="search_ended", objects=seen, **common)
         there = order.object in self.contents[order.container]
         return m.InteractionEnded(
             type="interaction_ended",
