@@ -11,12 +11,12 @@ Every event gets an id and a time. After a break `send_again` repeats what was n
 
 import json
 import queue
-import subprocess
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
+from subprocess import PIPE, Popen
 from typing import Any
 
 Message = dict[str, Any]
@@ -60,6 +60,7 @@ class Client:
             self.rejected += [message] * (message["status"] == "rejected")
         elif message["type"] == "task":
             self.task = message
+            self._began_s = min(self._began_s, self._clock() - message["time_s"])
         self.messages.put(message)
 
     def _listen(self, lines: Iterator[Any], broken: type[Exception] = OSError) -> None:
@@ -76,8 +77,7 @@ class PipeClient(Client):
     """Starts the live team and talks to it by its standard input and output."""
 
     def __init__(self, command: Sequence[str], cwd: Any = None, **options: Any) -> None:
-        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self.process = subprocess.Popen(command, text=True, bufsize=1, cwd=cwd, **pipes)
+        self.process = Popen(command, text=True, bufsize=1, cwd=cwd, stdin=PIPE, stdout=PIPE)
         super().__init__(lambda line: print(line, file=self.process.stdin, flush=True), **options)
         self._listen(iter(self.process.stdout or ()))
 

@@ -59,7 +59,7 @@ def _live(options: GivenTeam) -> LiveTeam:
     return LiveTeam(setup, options.team)
 
 
-class _Hub:
+class SessionHub:
     """One session for all who talk to it: answers go to the sender, orders and the task's state to everybody."""
 
     def __init__(self, session: LiveSession) -> None:
@@ -70,15 +70,26 @@ class _Hub:
     async def receive(self, sender: object, text: str | bytes) -> None:
         async with self._one_at_a_time:
             answers, news = await asyncio.to_thread(self.session.receive, text)
-        for line in answers:
-            self.listeners[sender].put_nowait(line)
-        for queue in self.listeners.values():
-            for line in news:
+        self._tell(sender, answers)
+        for listener in list(self.listeners):
+            self._tell(listener, news)
+
+    def _tell(self, listener: object, lines: Sequence[str]) -> None:
+        """Who is too far behind to be told is let go, and nobody else is the worse for it."""
+        if (queue := self.listeners.get(listener)) is None:
+            return
+        try:
+            for line in lines:
                 queue.put_nowait(line)
+        except asyncio.QueueFull:
+            del self.listeners[listener]
+            while not queue.empty():
+                queue.get_nowait()
+            queue.put_nowait(None)
 
 
 async def _serve(options: GivenTeam, session: LiveSession) -> None:
-    hub, done = _Hub(session), asyncio.Event()
+    hub, done = SessionHub(session), asyncio.Event()
     loop = asyncio.get_running_loop()
     for name in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(name, done.set)
@@ -96,7 +107,7 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
         pipes.cancel()
 
 
-async def _pipes(hub: _Hub, done: asyncio.Event, ends: bool) -> None:
+async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
     """Standard input and output; ``ends``: the end of input is the end of all."""
     loop = asyncio.get_running_loop()
     queue: asyncio.Queue[str | None] = asyncio.Queue()

@@ -21,7 +21,7 @@ MAX_WAITING = 10_000
 
 
 class Hub(Protocol):
-    """Where messages go: ``listeners`` are the queues of what is to be sent."""
+    """Where messages go: ``listeners`` are the queues of what is to be sent; None ends one."""
 
     listeners: dict[object, asyncio.Queue[str | None]]
 
@@ -45,10 +45,10 @@ async def serve(hub: Hub, host: str, port: int, token: str | None) -> AsyncItera
             await hub.receive(connection, Hello(type="hello").model_dump_json())
             async for text in connection:
                 await hub.receive(connection, text)
-        except (ConnectionClosed, asyncio.QueueFull):
-            pass  # who is gone or does not read is let go; hello gives it all orders again
+        except ConnectionClosed:
+            pass  # hello gives it all orders again
         finally:
-            del hub.listeners[connection]
+            hub.listeners.pop(connection, None)
             sending.cancel()
 
     # Browsers send an Origin: pages of other sites must not talk to a robot team on this machine.
@@ -68,3 +68,4 @@ async def _welcome(connection: ServerConnection, token: str | None) -> bool:
 async def _send(connection: ServerConnection, queue: "asyncio.Queue[str | None]") -> None:
     while (line := await queue.get()) is not None:
         await connection.send(line)
+    await connection.close(REFUSED, "too far behind; come again and say hello")
