@@ -25,6 +25,7 @@ from pydantic import (
 )
 
 from mrtask.errors import InputError
+from mrtask.execution import perception
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.tasks.templates import TEMPLATES
 
@@ -233,6 +234,32 @@ class Likelihood(_Section):
     noise_sd: _Spread
 
 
+class Rates(_Section):
+    """How likely a search detects an object that is there, and one that is not."""
+
+    true_positive_prob: _Share
+    false_positive_prob: _Share
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        self.rates()
+        return self
+
+    def rates(self) -> perception.Rates:
+        """The same for the library; raises ValueError where a detection would say nothing."""
+        return perception.Rates(self.true_positive_prob, self.false_positive_prob)
+
+
+class Perception(Rates):
+    """How well robots see, and the types of objects that they see otherwise."""
+
+    objects: dict[str, Rates]
+
+    def perception(self) -> perception.Perception:
+        """The same for the library."""
+        return perception.Perception(self.rates(), {name: one.rates() for name, one in self.objects.items()})
+
+
 class Evaluation(_Section):
     """Which trials are run, by which planners, with which model."""
 
@@ -246,6 +273,7 @@ class Evaluation(_Section):
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
     formula_file: LocalPath | None
+    task: Annotated[str, Field(min_length=1)] | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -264,6 +292,12 @@ class Evaluation(_Section):
         if unknown:
             raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
         return names
+
+    @model_validator(mode="after")
+    def _one_task(self) -> Self:
+        if self.task is not None and self.formula is not None:
+            raise ValueError("evaluation.task: give it or a formula, not both")
+        return self
 
     @field_validator("unsearched_share")
     @classmethod
@@ -407,6 +441,7 @@ class Config(_Section):
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     belief: Belief
     likelihood: Likelihood
+    perception: Perception
     evaluation: Evaluation
     realism: Realism
     housekeep: Housekeep
@@ -450,6 +485,11 @@ def load(composed: DictConfig) -> Config:
     except ValidationError as error:
         raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
+    if config.belief.adapt and not config.perception.perception().sees_all:
+        raise UserError(
+            "belief.adapt=true: learns from what searches showed as from the truth, so it needs perception that does "
+            "not err; give belief.adapt=false or leave perception at its defaults"
+        )
     return config
 
 

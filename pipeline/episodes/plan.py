@@ -14,6 +14,7 @@ from mrtask.likelihood.given import GivenOptions
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
+from mrtask.tasks.words import read_task
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import (
@@ -75,9 +76,11 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuses what can be refused before any work: the formula and the files."""
+    """Refuses what can be refused before any work: the formula or the task and the files."""
     if options.formula is not None:
         formula_objects(options.formula)
+    if options.task is not None:
+        read_task(options.task, None, ())
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 
@@ -92,7 +95,7 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     unseen, homes = _unseen_homes(options.homes, config.homes.source, home_set, model)
     size_classes = _size_classes(options.size_classes, homes)
     identity = _identity(config, model, unseen, size_classes)
-    objects = formula_objects(options.formula) if options.formula is not None else ()
+    formula, objects = task_of(options, unseen)
     given = {name: GivenOptions(**config.likelihood_of(name).model_dump()) for name in options.planners}
     drawn = config.homes.source == "generated" and config.homes.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
@@ -105,9 +108,14 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
-            formula=options.formula,
+            formula=formula,
             formula_objects=objects,
-            robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            robot=RobotSpec(
+                options.speed_m_per_s,
+                options.search_time_s,
+                options.interact_time_s,
+                config.perception.perception(),
+            ),
             tasks_per_home=options.tasks_per_home,
             unsearched_share=options.unsearched_share,
             cost=options.cost,
@@ -131,6 +139,15 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         contents_are_drawn=drawn,
         config=config.model_dump(mode="json"),
     )
+
+
+def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
+    """The formula that is asked for, in its own terms or in words about these homes, and its objects; or none."""
+    if options.task is not None:
+        names = {name for home in homes for container in home.containers for name in container.objects}
+        read = read_task(options.task, names, ())
+        return read.formula, read.propositions
+    return options.formula, formula_objects(options.formula) if options.formula is not None else ()
 
 
 def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
@@ -196,6 +213,7 @@ def _identity(
             "home_order": options.homes.order,
             "belief": config.belief.model_dump() if config.belief.adapt else None,
             "likelihood": config.likelihood.model_dump(),
+            "perception": config.perception.model_dump(),
         },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
         planner={name: config.planner_options(name) for name in options.planners},
