@@ -169,6 +169,7 @@ class Stream:
 
 def main(count):
     """Runs that many streams on the two-room house and says what came of them."""
+    import pipeline  # noqa: F401 - kernels from the cache
     from mrtask.homes.procthor import parse_house
     from mrtask.maps.home_map import build_map
     from tests.conftest import ASSETS, make_two_room_house
