@@ -178,7 +178,8 @@ def _run_world(
             "left_out": len(world.left_out),
         }
         row = facts | asdict(outcome) | {"took_s": round(time.perf_counter() - began_s, 2)}
-        _write_paths(options.output_dir / PATHS / f"{trial.trial_id}-{planner}.json", row.pop("paths"))
+        _write_paths(options.output_dir / PATHS / f"{trial.trial_id}-{planner}.json", outcome.paths)
+        del row["paths"]
         with (options.output_dir / EPISODES).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         said = f"{outcome.cost_s:.1f} s" if outcome.cost_s is not None else outcome.error
