@@ -1,6 +1,5 @@
 """Drives pyrobosim's robots through homes by the live process, planner beside planner, and says what came of it.
 
-    pip install 'mrtask[sim]'
     python -m simulators.pyrobosim count=3 robots=[2]
     python -m simulators.pyrobosim homes=[houses.jsonl.gz] assets=asset-database.json count=30
 
@@ -77,7 +76,9 @@ def run(arguments: Sequence[str]) -> None:
     try:
         version("pyrobosim")
     except PackageNotFoundError as error:
-        raise InputError("pyrobosim is needed here: pip install 'mrtask[sim]'") from error
+        raise InputError(
+            "pyrobosim is needed here: make install, or pip install -c constraints.txt pyrobosim"
+        ) from error
     logging.disable(logging.WARNING)  # pyrobosim tells of everything that it does; what counts is checked
     body = Body()
     rows = _rows_so_far(options)
