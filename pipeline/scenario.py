@@ -82,7 +82,7 @@ def run(arguments: Sequence[str]) -> None:
     for name, result in first.items():
         (folder / "traces" / f"{name}.json").write_text(result.trace.to_json() + "\n", encoding="utf-8")
     command = shlex.join(["python", "-m", "pipeline.scenario", *arguments])
-    (folder / "replay.html").write_text(_replay(scenario, first, recorders, command), encoding="utf-8")
+    (folder / "replay.html").write_text(_replay(scenario, first, recorders, options, command), encoding="utf-8")
     _draw(scenario, first).savefig(folder / "plans.png", dpi=150)  # type: ignore[attr-defined]
     console.line(f"-> {console.shown(folder)}")
 
@@ -146,7 +146,11 @@ def _mean_metres(of_seeds: Sequence[EpisodeResult]) -> float | None:
 
 
 def _replay(
-    scenario: Scenario, results: Mapping[str, EpisodeResult], recorders: Mapping[str, Recorder], command: str
+    scenario: Scenario,
+    results: Mapping[str, EpisodeResult],
+    recorders: Mapping[str, Recorder],
+    options: GivenTrial,
+    command: str,
 ) -> str:
     """The page of all planners side by side."""
     trial = scenario.trial
@@ -156,7 +160,7 @@ def _replay(
     ]
     automaton = build_automaton(trial.formula, trial.objects)
     replay = make_replay(trial.trial_id, trial.size_class, trial.template, automaton, scenario.home, episodes)
-    return render_replay(replay, command)
+    return render_replay(replace(replay, task=options.task), command)
 
 
 def _published(name: str | None) -> RealWorldTrial | None:

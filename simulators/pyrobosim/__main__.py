@@ -1,6 +1,5 @@
 """Drives pyrobosim's robots through homes by the live process, planner beside planner, and says what came of it.
 
-    pip install 'mrtask[sim]'
     python -m simulators.pyrobosim count=3 robots=[2]
     python -m simulators.pyrobosim homes=[houses.jsonl.gz] assets=asset-database.json count=30
 
@@ -77,7 +76,9 @@ def run(arguments: Sequence[str]) -> None:
     try:
         version("pyrobosim")
     except PackageNotFoundError as error:
-        raise InputError("pyrobosim is needed here: pip install 'mrtask[sim]'") from error
+        raise InputError(
+            "pyrobosim is needed here: make install, or pip install -c constraints.txt pyrobosim"
+        ) from error
     logging.disable(logging.WARNING)  # pyrobosim tells of everything that it does; what counts is checked
     body = Body()
     rows = _rows_so_far(options)
@@ -178,7 +179,8 @@ def _run_world(
             "left_out": len(world.left_out),
         }
         row = facts | asdict(outcome) | {"took_s": round(time.perf_counter() - began_s, 2)}
-        _write_paths(options.output_dir / PATHS / f"{trial.trial_id}-{planner}.json", row.pop("paths"))
+        _write_paths(options.output_dir / PATHS / f"{trial.trial_id}-{planner}.json", outcome.paths)
+        del row["paths"]
         with (options.output_dir / EPISODES).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         said = f"{outcome.cost_s:.1f} s" if outcome.cost_s is not None else outcome.error

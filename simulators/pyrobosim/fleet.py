@@ -253,7 +253,7 @@ class Fleet:
         start = free_cell_near(home_map, member.place, inf)
         costs = np.where(closed, -1.0, 1.0)
         costs[start] = 1.0
-        search = MCP_Geometric(costs)  # type: ignore[no-untyped-call]
+        search = MCP_Geometric(costs)
         away, _ = search.find_costs([start])
         away = np.where(in_the_way | closed, inf, away)
         nearest = np.unravel_index(int(np.argmin(away)), away.shape)
@@ -263,7 +263,7 @@ class Fleet:
 
     def _within(self, points: NDArray[np.float64], metres: float) -> NDArray[np.bool_]:
         """[H, W] the cells so near to any of the points."""
-        marked = np.ones(self.home_map.free.shape, dtype=bool)
+        marked: NDArray[np.bool_] = np.ones(self.home_map.free.shape, dtype=bool)
         for x, y in points:
             row, col = self.home_map.cell_of((x, y))
             if 0 <= row < marked.shape[0] and 0 <= col < marked.shape[1]:

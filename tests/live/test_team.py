@@ -275,8 +275,8 @@ def test_states_of_another_task_or_version_are_refused(live, two_room_home, two_
     other = two_robots(two_room_home, two_room_map, formula="F Egg | F Pillow")
     with pytest.raises(StateError, match="another home, map or task"):
         restore(other.setup, text)
-    with pytest.raises(StateError, match="of version 99, this program reads 1"):
-        restore(live.setup, text.replace('"version":1', '"version":99', 1))
+    with pytest.raises(StateError, match="of version 99, this program reads 2"):
+        restore(live.setup, text.replace('"version":2', '"version":99', 1))
     with pytest.raises(StateError, match="damaged"):
         restore(live.setup, text[: len(text) // 2])
 

@@ -72,7 +72,8 @@ def check_twins(trial, home, home_map, likelihood, planner):
 
 
 def main(count):
-    from mrtask.homes.generator import generate_house
+    import pipeline  # noqa: F401 - kernels from the cache
+    from mrtask.homes.generator.house import generate_house
     from mrtask.homes.procthor import parse_house
     from mrtask.maps.home_map import build_map
 

@@ -69,8 +69,6 @@ class World:
         for robot in sorted(acted):
             _, order = self.due.pop(robot)
             events.append(self.event(order))
-            if order.action == "navigate" and not self.search_time_s:
-                events.append(self.event(order.model_copy(update={"action": "search"})))
         return events
 
     def settle(self, live):

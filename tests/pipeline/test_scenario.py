@@ -52,6 +52,7 @@ def test_a_scenario_prints_metres_beside_the_published_ones(
     assert (tmp_path / "outputs/scenario/apartment2/plans.png").stat().st_size > 10_000
     assert (tmp_path / "outputs/scenario/apartment2/traces/learned_myopic.json").is_file()
     page = (tmp_path / "outputs/scenario/apartment2/replay.html").read_text()
+    assert "<h1>laptop or wallet, then remote, then tv</h1>" in page
     assert all(label in page for label in ("learned_myopic", "nonlearned_myopic", "pipeline.scenario"))
 
 
