@@ -94,13 +94,13 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
         ("waiting", "How long robots wait", waiting_table([arm for arm in found if arm.rows.in_detail])),
     ]
     sections = [
-        {"anchor": anchor, "link": title, "title": title, "body": _body(anchor, table, marks), "in_short": ""}
+        {"anchor": anchor, "link": title, "title": title, "body": _body(anchor, table, marks)}
         for anchor, title, table in parts
         if table is not None
     ]
     overrides = [(arm.rows.name, " ".join(arm.rows.overrides) or "as configured") for arm in found]
     body = render_fragment("ablation_arms", arms=overrides)
-    sections.append({"anchor": "arms", "link": "Arms", "title": "What each arm changes", "body": body, "in_short": ""})
+    sections.append({"anchor": "arms", "link": "Arms", "title": "What each arm changes", "body": body})
     return render_fragment(
         "page",
         title=f"mrtask: ablation of {experiment}",

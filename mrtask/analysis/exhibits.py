@@ -1,6 +1,5 @@
 """Tables and pictures with names: what a section of the report shows, and what lies as files beside it for papers."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,7 +8,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from mrtask.analysis.columns import Table
-from mrtask.analysis.style import pdf_bytes, svg_bytes
+from mrtask.analysis.style import data_uri, pdf_bytes, svg_bytes
 
 TABLES, FIGURES = "tables", "figures"
 """The folders beside the page."""
@@ -57,7 +56,7 @@ class Picture:
     @property
     def uri(self) -> str:
         """The picture itself, for an ``<img>``."""
-        return "data:image/svg+xml;base64," + base64.b64encode(self.svg).decode("ascii")
+        return data_uri(self.svg)
 
     @property
     def files(self) -> tuple[tuple[str, str], ...]:

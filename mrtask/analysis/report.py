@@ -16,20 +16,15 @@ from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.exhibits import Content
 from mrtask.analysis.findings import main_planner
 from mrtask.analysis.for_papers import paper_files
-from mrtask.analysis.replay import Episode, make_replay
-from mrtask.analysis.replay_page import render_replay
 from mrtask.analysis.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.result_table import result_table
 from mrtask.analysis.sections import SECTIONS, Section
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.templating import render_fragment, script_digest, template_text
-from mrtask.analysis.trajectories import task_objects
 from mrtask.analysis.trial_browser import compared_planners, mapped_trials
-from mrtask.execution.trace import Trace
 from mrtask.files import replacing
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER
-from mrtask.tasks.automaton import build_automaton
 
 REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
 
@@ -78,40 +73,8 @@ def render_report(
     return Report(
         render_page(data, contents),
         result_table(data.summaries, data.published),
-        {data.replays[trial_id]: page.encode() for trial_id, page in replays_of(data).items()}
+        {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
         | paper_files(list(contents.values())),
-    )
-
-
-def replays_of(data: ReportData) -> dict[str, str]:
-    """Trial id -> page, of all that the report links to. Reasons for decisions would take a run."""
-    pages = {}
-    for trial_id in data.replays:
-        rows = data.rows[(data.rows["trial_id"] == trial_id) & data.rows["trace"].notna()]
-        by_planner = {row["planner"]: row for row in rows.to_dict("records")}
-        shown = [name for name in compared_planners(data.rows, data.planner) if name in by_planner]
-        first = by_planner[shown[0]]
-        automaton = build_automaton(first["formula"], task_objects(first["objects"]))
-        replay = make_replay(
-            trial_id,
-            first["size_class"],
-            first["template"],
-            automaton,
-            data.homes[first["home_id"]],
-            [_episode(by_planner[name]) for name in shown],
-        )
-        pages[trial_id] = render_replay(replay)
-    return pages
-
-
-def _episode(row: Mapping[Any, Any]) -> Episode:
-    accepted = row["status"] == "accepted"
-    return Episode(
-        planner=row["planner"],
-        status=row["status"],
-        cost_s=row["cost_s"] if accepted else None,
-        error=None if accepted else str(row.get("error") or ""),
-        trace=Trace.from_json(row["trace"]),
     )
 
 

@@ -13,6 +13,7 @@ from mrtask.analysis.facts import Manifest, ModelFacts, missing_episodes, model_
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.published import Published, load_published
+from mrtask.analysis.replays import Replays, play
 from mrtask.analysis.statistics import Summary, summarise
 from mrtask.analysis.trajectories import Pick
 from mrtask.analysis.trial_browser import compared_planners, notable_trials
@@ -86,17 +87,15 @@ class ReportData:
         return picks
 
     @cached_property
+    def played(self) -> Replays:
+        """The replays of the picks."""
+        picks = [pick for pick in self.picks if SAFE_NAME.fullmatch(pick.trial_id)]
+        return play(self.rows, compared_planners(self.rows, self.planner), picks, self.homes)
+
+    @property
     def replays(self) -> dict[str, str]:
-        """Trial id -> the page of its replay beside the report, of those picks whose home and traces are there."""
-        if not {"trace", "template", "formula", "objects"} <= set(self.rows.columns):
-            return {}
-        compared = self.rows["planner"].isin(compared_planners(self.rows, self.planner))
-        traced = set(self.rows.loc[compared & self.rows["trace"].notna(), "trial_id"])
-        return {
-            pick.trial_id: f"{REPLAYS}/{pick.trial_id}.html"
-            for pick in self.picks
-            if pick.home_id in self.homes and pick.trial_id in traced and SAFE_NAME.fullmatch(pick.trial_id)
-        }
+        """Trial id -> the page of its replay, beside the report."""
+        return {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in self.played.pages}
 
     @cached_property
     def findings(self) -> Findings:
@@ -112,7 +111,8 @@ class ReportData:
     def warnings(self) -> list[str]:
         """Everything that a reader should know before trusting the answer."""
         of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
-        return [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+        warnings = [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+        return [*warnings, *self.played.unplayable]
 
 
 def collect_report_data(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
-from mrtask.analysis import charts, curves, facts, figures, profiles, tables
+from mrtask.analysis import charts, curves, facts, figures, gap, profiles, tables
 from mrtask.analysis.breakdown import results_by_template, template_table
 from mrtask.analysis.claims import claims_table, count_verdicts, judge_claims
 from mrtask.analysis.columns import Entry, Row, Table
@@ -186,6 +186,27 @@ def optimality_section(data: ReportData) -> Content | None:
     return _content("optimality", _table("optimality", "How far planners are from optimal", table, "cell"))
 
 
+def gap_section(data: ReportData) -> Content | None:
+    """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
+    ladder = gap.find_ladder(data.manifest, data.summary.planners)
+    if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
+        return None
+    title = "What the gap is made of"
+    caption = "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back."
+    return _content(
+        "gap",
+        [
+            *charts.picture("gap", gap.draw_gaps(gaps), title, caption),
+            *_table("gap", title, gap.gap_table(gaps), "planner", wide=True),
+        ],
+        truth=planner_label(ladder.truth),
+        model=planner_label(ladder.model),
+        counted=data.manifest.get("true_likelihoods") == "counted",
+        certified=any(one.certified for one in gaps),
+        sentences=gap.gap_sentences(gaps),
+    )
+
+
 def model_section(data: ReportData) -> Content:
     """What the likelihood model is and how good."""
     title = "The likelihood model on homes held back from training"
@@ -258,6 +279,7 @@ SECTIONS: Sequence[Section] = (
     Section("trials", "Trials", "Trial by trial", trials_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
     Section("optimality", "Optimality", "How far from optimal", optimality_section),
+    Section("gap", "Gap", "What the gap is made of", gap_section),
     Section("model", "Likelihood model", "Likelihood model", model_section),
     Section("homes", "Homes", "Homes", homes_section),
     Section("run", "Run", "Run", run_section),

@@ -3,6 +3,7 @@
 Colours are Okabe and Ito's, which people with colour-vision deficiencies tell apart (https://jfly.uni-koeln.de/color/).
 """
 
+import base64
 import io
 import math
 import warnings
@@ -120,6 +121,11 @@ def seconds(value: float) -> str:
 def svg_bytes(figure: Figure) -> bytes:
     """The figure as SVG, the same bytes for the same figure."""
     return _saved(figure, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def data_uri(svg: bytes) -> str:
+    """A picture for an ``<img>`` that loads nothing."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
 
 
 def pdf_bytes(figure: Figure) -> bytes:
