@@ -93,8 +93,8 @@ def distribution_charts(data: ReportData, ratios: profiles.CostRatios | None) ->
             "distribution",
             profiles.draw_costs(data.rows, data.summary),
             "Cost distribution",
-            "The share of a cell's trials finished at no more than this cost. A curve further left is better; one that "
-            "ends below 100 % failed in the rest. Each axis ends at the 99th percentile of its panel.",
+            "The share of a cell's trials finished at no more than this cost. A curve further left is better. Each "
+            "axis ends at the 99th percentile of its panel: what a curve lacks there cost more, or failed.",
         ),
     ]
 

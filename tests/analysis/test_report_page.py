@@ -81,3 +81,6 @@ def test_without_scripts_points_are_named_and_notable_trials_listed(browser, pag
         assert not page.locator(".filters").is_visible()
         assert page.locator(".dots circle title").count() == 12
         assert page.locator(".notable tbody tr").first.is_visible()
+        assert EVIL in page.locator("#templates ~ .scroll tbody th").all_text_contents()
+        page.locator(".answer a[href='#claims']").click()
+        assert page.url.endswith("#claims") and page.locator(".claims tbody tr").count() == 6
