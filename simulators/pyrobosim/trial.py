@@ -1,7 +1,7 @@
 """One task in one world by one planner: pyrobosim's robots do what the live process orders, over its pipes.
 
 The live process is `python -m pipeline.live`, started with the map, the containers' places and the task, and told what
-happens through `pipeline.live_client`. Its clock is the simulation's, which stands still while it thinks. On arrival a
+happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while it thinks. On arrival a
 robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the object up and put it back.
 """
 
@@ -20,7 +20,7 @@ from pyrobosim.utils.pose import Pose
 from mrtask.errors import InputError
 from mrtask.execution.trials import Trial
 from mrtask.homes.home import Point
-from pipeline.live_client import Message, PipeClient
+from pipeline.live.client import Message, PipeClient
 from simulators.pyrobosim.fleet import REFUGE_M, STEP_S, Fleet
 from simulators.pyrobosim.robot import Body
 from simulators.pyrobosim.world import RESOLUTION_M, World
