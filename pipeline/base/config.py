@@ -222,6 +222,18 @@ class Belief(_Section):
     forget: _Share
 
 
+_Source = Literal["model", "truth"]
+_Spread = Annotated[float, Field(ge=0)]
+
+
+class Likelihood(_Section):
+    """Which likelihoods planners are given, and how wrong on purpose, see `mrtask.likelihood.given`."""
+
+    source: _Source
+    uniform_mix: _Share
+    noise_sd: _Spread
+
+
 class Rates(_Section):
     """How likely a search detects an object that is there, and one that is not."""
 
@@ -295,11 +307,20 @@ class Evaluation(_Section):
         return share
 
 
+class OtherLikelihood(_Section):
+    """What a planner variant is given that other planners are not; null: the same."""
+
+    source: _Source | None = None
+    uniform_mix: _Share | None = None
+    noise_sd: _Spread | None = None
+
+
 class PlannerVariant(_Section):
-    """A planner under another name: with some of its options changed, beside itself on the same trials."""
+    """A planner under another name: with other options or likelihoods, beside itself on the same trials."""
 
     planner: str = Field(min_length=1)
-    options: dict[str, Any]
+    options: dict[str, Any] = {}
+    likelihood: OtherLikelihood = OtherLikelihood()
 
 
 class Realism(_Section):
@@ -335,6 +356,27 @@ class Ablation(_Section):
     steps: tuple[Arm, ...]
     added_alone: bool
     taken_alone: bool
+
+
+class Factor(_Section):
+    """A key of the configuration and the values that it takes, one at a time."""
+
+    name: str = Field(min_length=1)
+    key: str = Field(min_length=1)
+    values: Annotated[tuple[float, ...], Field(min_length=2), AfterValidator(_distinct)]
+
+    @field_validator("values", mode="before")
+    @classmethod
+    def _numbers(cls, values: Any) -> Any:
+        if any(isinstance(value, bool) for value in values):
+            raise ValueError("give numbers: they are the axis of a curve")
+        return values
+
+
+class Sensitivity(_Section):
+    """What `pipeline.sensitivity` changes, one factor at a time."""
+
+    factors: Annotated[tuple[Factor, ...], Field(min_length=1)]
 
 
 class Optimality(_Section):
@@ -398,11 +440,13 @@ class Config(_Section):
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     belief: Belief
+    likelihood: Likelihood
     perception: Perception
     evaluation: Evaluation
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
+    sensitivity: Sensitivity
     optimality: Optimality
     replay: Replay
     cluster: Cluster
@@ -418,6 +462,12 @@ class Config(_Section):
         """The planner that a variant is one of; a planner's own name where it is none."""
         variant = self.planner_variants.get(name)
         return name if variant is None else variant.planner
+
+    def likelihood_of(self, name: str) -> Likelihood:
+        """The likelihoods that a planner or variant is given."""
+        variant = self.planner_variants.get(name)
+        other = variant.likelihood.model_dump(exclude_none=True) if variant else {}
+        return self.likelihood.model_copy(update=other)
 
 
 def load(composed: DictConfig) -> Config:
