@@ -130,7 +130,7 @@ def test_places_are_reported_now_and_then_and_a_robot_that_is_not_known_joins():
     bench = Bench(joined=False, pose_every_s=1.0)
     for now_s in (0.0, 0.5, 1.0, 1.9, 2.5):
         bench.now_s = now_s
-        bench.robot.is_at(now_s, 7.0)
+        bench.robot.localised({"pose": {"pose": {"position": {"x": now_s, "y": 7.0, "z": 0.0}}}})
     assert [(kind, fields["x_m"]) for kind, fields in bench.said] == [
         ("robot_joined", 0.0),
         ("pose", 1.0),
