@@ -236,9 +236,14 @@ class _Action:
         self._client.cancel_goal(goal)
 
 
+def read_options(arguments: Sequence[str]) -> RosOptions:
+    """The options on a command line; raises `UserError` with every mistake."""
+    return load_options(RosOptions, [CONF_DIR / "ros.yaml"], overrides(arguments, VERBATIM))
+
+
 def run(arguments: Sequence[str]) -> None:
     """The tool."""
-    options = load_options(RosOptions, [CONF_DIR / "ros.yaml"], overrides(arguments, VERBATIM))
+    options = read_options(arguments)
     inbox: queue.Queue[Callable[[], None] | None] = queue.Queue()
     bridge = _Rosbridge(options.rosbridge, inbox)
     client = _connect(options)
