@@ -138,9 +138,10 @@ class Stream:
                     self.find(event, name, name in seen)
             if event["type"] in ("interaction_ended", "navigation_failed", "search_ended"):
                 failed = event["type"] == "navigation_failed" or event.get("status") == "FAILED"
-                if failed:  # what fails too often is given up
+                if failed:  # what fails too often is given up, but older sights stay older
                     for name in self.live.setup.task.propositions:
-                        self.found.pop((event["container"], name), None)
+                        if (key := (event["container"], name)) in self.found:
+                            self.found[key] = (self.found[key][0], None)
 
     def find(self, event, name, present):
         key = event["container"], name
@@ -156,7 +157,8 @@ class Stream:
             assert np.array_equal(belief.presence_prob, told)
         else:  # where nobody has searched, planners are told the likelihood, not the prior with its doubts
             assert np.allclose(belief.presence_prob, told, atol=1e-3)
-        for (container, name), (_, present) in self.found.items() if self.certain else ():
+        sights = {key: present for key, (_, present) in self.found.items() if present is not None}
+        for (container, name), present in sights.items() if self.certain else ():
             obj = live.setup.task.propositions.index(name)
             assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
