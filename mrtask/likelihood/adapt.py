@@ -19,15 +19,14 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.optimize import elementwise
+from scipy.special import expit, logit
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import clip_probs
+from mrtask.likelihood.table import LikelihoodTable
 
 NODES = 7
-STEPS = 60
-"""Halvings of the interval in which ``b`` lies: to the last digit."""
-MAX_LOG_ODDS = 60.0
 
 Floats = NDArray[np.float64]
 Cell = tuple[int, int]
@@ -69,6 +68,22 @@ def sightings_of(home: Home, task: int, searched: Sequence[bool], objects: Seque
         if seen
         for name in objects
     )
+
+
+def belief_about(
+    table: LikelihoodTable,
+    home: Home,
+    objects: Sequence[str],
+    seen: Sequence[Sighting] = (),
+    task: int = 0,
+    options: AdaptOptions | None = None,
+) -> Floats:
+    """``P(object in container)``, ``[C, O]``: the table's, corrected by what was ``seen`` if there are ``options``."""
+    if options is None or not seen:
+        return table.matrix(home, objects)
+    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
+    prior = table.matrix(home, known)
+    return adapted(prior, known, home.container_kinds(), seen, task, options)[:, : len(objects)]
 
 
 def adapted(
@@ -155,16 +170,17 @@ def _by_cell(
 
 
 def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
-    """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior; by bisection."""
+    """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior."""
     weight = np.outer(weights, weights).ravel()
     wanted, where = np.unique(clip_probs(prior), return_inverse=True)  # containers of one kind have the same
-    low, high = np.full(wanted.shape, -MAX_LOG_ODDS), np.full(wanted.shape, MAX_LOG_ODDS)
-    for _ in range(STEPS):
-        middle = (low + high) / 2.0
-        below = expit(middle[:, None] + shift.ravel()) @ weight < wanted
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    offsets: Floats = ((low + high) / 2.0)[where].reshape(prior.shape)
-    return offsets
+
+    def excess(offset: Floats, wanted: Floats) -> Floats:
+        return np.asarray(expit(offset[..., None] + shift.ravel()) @ weight - wanted)
+
+    # The mean lies between the least and the greatest of what it is the mean of.
+    widest = np.abs(shift).max()
+    found = elementwise.find_root(excess, (logit(wanted) - widest, logit(wanted) + widest), args=(wanted,))
+    return np.asarray(found.x[where].reshape(prior.shape))
 
 
 def _standard_normal() -> tuple[Floats, Floats]:

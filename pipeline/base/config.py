@@ -64,8 +64,11 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
 
+HomeContents = Literal["procthor", "housekeep"]
+
+
 class _Homes(_Section):
-    contents: Literal["procthor", "housekeep"]
+    contents: HomeContents
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -213,8 +216,9 @@ class EvaluationHomes(_Section):
 
 
 class Belief(_Section):
-    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+    """What is believed of a home, and whether searches there correct it, see `mrtask.likelihood.adapt`."""
 
+    prior: Literal["model", "uniform", "oracle"]
     adapt: bool
     kind_sd: float = Field(ge=0)
     object_sd: float = Field(ge=0)
@@ -303,6 +307,16 @@ class Ablation(_Section):
     taken_alone: bool
 
 
+class Priors(_Section):
+    """Which contents and priors `pipeline.priors` compares."""
+
+    contents: Annotated[
+        tuple[HomeContents, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+    trained_on: Annotated[tuple[HomeContents, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+    others: Annotated[tuple[Literal["uniform", "oracle"], ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
 class Optimality(_Section):
     """How far planners are from optimal: on how many trials and worlds it is measured."""
 
@@ -368,6 +382,7 @@ class Config(_Section):
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
+    priors: Priors
     optimality: Optimality
     replay: Replay
     cluster: Cluster

@@ -9,7 +9,7 @@ from mrtask.execution.team import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.table import build_table
+from mrtask.likelihood.priors import prior_table
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import Config, Evaluation, EvaluationHomes, UserError, content_hash
@@ -79,7 +79,7 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     objects = formula_objects(options.formula) if options.formula is not None else ()
     context = Context(
         homes=unseen,
-        table=build_table(model.model, unseen, objects),
+        table=prior_table(config.belief.prior, model.model, unseen, objects),
         maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir, config.map.ways),
         seed=config.seed,
         trials=TrialOptions(
@@ -94,7 +94,7 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         planner_options={name: config.planner_options(name) for name in options.planners},
         planners_behind={name: config.planner_behind(name) for name in options.planners},
         home_order=options.homes.order,
-        adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
+        adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt", "prior"})) if config.belief.adapt else None,
         provenance=Provenance(model.version, identity.config_hash, code_version()),
     )
     return EvaluationPlan(
@@ -164,7 +164,11 @@ def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home])
         map=config.map,
         homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT)
-        | {"home_order": options.homes.order, "belief": config.belief.model_dump() if config.belief.adapt else None},
+        | {
+            "home_order": options.homes.order,
+            "prior": config.belief.prior,
+            "belief": config.belief.model_dump(exclude={"prior"}) if config.belief.adapt else None,
+        },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
         planner={name: config.planner_options(name) | variants.get(name, {}) for name in options.planners},
         model_version=model.version,

@@ -12,14 +12,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from mrtask.analysis.bounds.assess import assess
+from mrtask.analysis.calibration import Task, beliefs_of
 from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
 from mrtask.homes.home import Home
-from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, belief_about, sightings_of
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
@@ -134,7 +134,7 @@ def _run(
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial.objects, task, seen, context)
+    likelihood = belief_about(context.table, home, trial.objects, seen, task, context.adapt)
     home_map = bench.map_of(trial.home_id)
     result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
@@ -160,17 +160,6 @@ def _run(
     return row, sightings_of(home, task, result.searched, trial.objects)
 
 
-def _likelihood(
-    home: Home, objects: tuple[str, ...], task: int, seen: Sequence[Sighting], context: Context
-) -> NDArray[np.float64]:
-    """``P(object in container)``, ``[C, O]``: the model's, corrected by what was seen where beliefs adapt."""
-    if context.adapt is None or not seen:
-        return context.table.matrix(home, objects)
-    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
-    prior = context.table.matrix(home, known)
-    return adapted(prior, known, home.container_kinds(), seen, task, context.adapt)[:, : len(objects)]
-
-
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
     """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
     bench = _bench(context)
@@ -178,6 +167,19 @@ def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, An
     home = bench.homes[trial.home_id]
     likelihood = context.table.matrix(home, trial.objects)
     return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
+
+
+@dataclass(frozen=True)
+class HomeTasks:
+    """A team's tasks in one home, in order."""
+
+    home_id: str
+    tasks: tuple[Task, ...]
+
+
+def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
+    """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
+    return beliefs_of(_bench(context).homes[done.home_id], done.tasks, context.table, context.adapt)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:

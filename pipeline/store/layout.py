@@ -11,7 +11,8 @@ replays/              a page for each trial that pipeline.replay was asked for
 homes/, realism/      what draw=true and pipeline.realism leave
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
-runs/<arm>-<key>/     of an ablation: one output_dir for each evaluation
+runs/<arm>-<key>/     of an ablation, or of priors: one output_dir for each evaluation
+beliefs.parquet       in such a run of priors: what was believed at the beginning of each task
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -32,16 +33,17 @@ REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
 RUNS = "runs"
+BELIEFS = "beliefs.parquet"
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
-    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES):
+    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
         folder.remove(name)
 
 
 def runs(folder: Folder, name: str, key: str) -> Folder:
-    """The folder of one evaluation of an ablation."""
+    """The folder of one evaluation of an ablation or of priors."""
     return folder / RUNS / f"{name}-{key}"
 
 

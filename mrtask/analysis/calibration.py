@@ -1,0 +1,89 @@
+"""Whether what a team believed at the beginning of its tasks was so: log loss, Brier score and calibration.
+
+Judged is what a planner acts on: the probability that a container holds an object of the task, given that the object is
+somewhere in the home, as every task's object is. The unit is one pair of container and object.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mrtask.analysis.statistics import Bootstrap, Estimate, Floats
+from mrtask.execution.trace import Trace
+from mrtask.homes.home import Home
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, belief_about, sightings_of
+from mrtask.likelihood.metrics import evaluate, reliability
+from mrtask.likelihood.model import clip_probs
+from mrtask.likelihood.table import LikelihoodTable
+
+LOSSES = ("log_loss", "brier")
+"""Of each pair, so that their means have intervals; the calibration error is of all pairs together."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task that a team did: which objects it was about, and the ids of the containers that were searched."""
+
+    trial_id: str
+    objects: tuple[str, ...]
+    searched: frozenset[str]
+
+
+def given_existence(belief: Floats) -> Floats:
+    """``P(object in container | it is in some container)``, ``[C, O]``, where containers are independent."""
+    log_nowhere = np.log1p(-clip_probs(belief)).sum(axis=0)
+    return clip_probs(belief / -np.expm1(log_nowhere))
+
+
+def beliefs_of(home: Home, tasks: Sequence[Task], table: LikelihoodTable, options: AdaptOptions | None) -> pd.DataFrame:
+    """``trial_id, task, pair, prob, held`` of each pair of container and object, at the beginning of each task."""
+    seen: list[Sighting] = []
+    parts = []
+    for number, task in enumerate(tasks):
+        belief = given_existence(belief_about(table, home, task.objects, seen, number, options))
+        held = [[name in container.objects for name in task.objects] for container in home.containers]
+        pairs = pd.DataFrame({"prob": belief.ravel(), "held": np.array(held).ravel()})
+        parts.append(pairs.assign(trial_id=task.trial_id, task=number, pair=range(len(pairs))))
+        searched = [container.id in task.searched for container in home.containers]
+        seen += sightings_of(home, number, searched, task.objects)
+    return pd.concat(parts, ignore_index=True)
+
+
+def searched_in(trace: Trace) -> frozenset[str]:
+    """The ids of the containers that some robot searched."""
+    return frozenset(leg.container for legs in trace.robots for leg in legs if leg.kind == "search" and leg.container)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The mean losses with intervals over homes, the expected calibration error, and the reliability curve."""
+
+    losses: Mapping[str, Estimate]
+    ece: float
+    curve: pd.DataFrame
+
+
+def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibration:
+    """Of ``beliefs`` as of `beliefs_of`; ``home_of``: trial -> the home that is resampled as a whole."""
+    counts = pd.DataFrame({"positives": beliefs["held"].astype(float), "count": 1.0})
+    probs = beliefs["prob"].to_numpy()
+    losses = {name: _mean(_with_losses(beliefs), name, home_of) for name in LOSSES}
+    return Calibration(losses, evaluate(probs, counts)["ece"], reliability(probs, counts))
+
+
+def change(after: pd.DataFrame, before: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
+    """By how much the mean loss ``name`` differs between two beliefs about the same pairs: below zero is better."""
+    difference = _with_losses(after)[name].to_numpy() - _with_losses(before)[name].to_numpy()
+    return _mean(before.assign(**{name: difference}), name, home_of)
+
+
+def _with_losses(beliefs: pd.DataFrame) -> pd.DataFrame:
+    prob, held = beliefs["prob"].to_numpy(), beliefs["held"].to_numpy()
+    return beliefs.assign(log_loss=-np.log(np.where(held, prob, 1.0 - prob)), brier=(held - prob) ** 2)
+
+
+def _mean(pairs: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
+    sums = pairs.groupby(pairs["trial_id"].map(home_of))[name].agg(["sum", "count"]).to_numpy(dtype=np.float64)
+    return Bootstrap(sums).estimate(lambda means: np.asarray(means[..., 0] / means[..., 1]))
