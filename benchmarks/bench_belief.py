@@ -19,13 +19,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.calibration import Task, beliefs_of, calibration, change, given_existence
+from mrtask.analysis.calibration import Task, beliefs_of, calibration, change
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE
 from mrtask.homes.split import split_homes
 from mrtask.likelihood.adapt import AdaptOptions
 from mrtask.likelihood.embeddings import BUNDLED
+from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.priors import count_triples
 from mrtask.likelihood.rows import vocabulary

@@ -6,8 +6,9 @@
 
 On the homes given, else on generated ones (500 to train on, 50 to stop training by, the rest to test on, divided as
 ``homes=procthor`` does). With votes, also on the same homes with people's contents. Names held out: each of five parts
-of the object types, and of the container types, is predicted by a model that was trained without it. Each training has a process of its own. Networks have the mean and standard deviation of several seeds;
-what depends on no seed is trained once.
+of the object types, and of the container types, is predicted by a model that was trained without it. Each training has
+a process of its own. Networks have the mean and standard deviation of several seeds; what depends on no seed is trained
+once.
 """
 
 import argparse

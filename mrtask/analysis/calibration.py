@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.statistics import Bootstrap, Estimate, Floats
+from mrtask.analysis.statistics import Bootstrap, Estimate
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, belief_about, sightings_of
+from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.metrics import evaluate, reliability
-from mrtask.likelihood.model import clip_probs
 from mrtask.likelihood.table import LikelihoodTable
 
 LOSSES = ("log_loss", "brier")
@@ -29,12 +29,6 @@ class Task:
     trial_id: str
     objects: tuple[str, ...]
     searched: frozenset[str]
-
-
-def given_existence(belief: Floats) -> Floats:
-    """``P(object in container | it is in some container)``, ``[C, O]``, where containers are independent."""
-    log_nowhere = np.log1p(-clip_probs(belief)).sum(axis=0)
-    return clip_probs(belief / -np.expm1(log_nowhere))
 
 
 def beliefs_of(home: Home, tasks: Sequence[Task], table: LikelihoodTable, options: AdaptOptions | None) -> pd.DataFrame:

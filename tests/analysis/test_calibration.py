@@ -1,28 +1,14 @@
 """Whether beliefs are judged by what they say."""
 
-from itertools import product
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.calibration import Task, beliefs_of, calibration, change, given_existence, searched_in
+from mrtask.analysis.calibration import Task, beliefs_of, calibration, change, searched_in
 from mrtask.execution.trace import Leg, Trace
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted
+from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.table import LikelihoodTable
-
-PROBS = np.array([[0.2, 0.5], [0.6, 0.01], [0.3, 0.02]])
-
-
-def test_existence_is_taken_into_account_as_in_a_sum_over_all_worlds():
-    for column, found in zip(PROBS.T, given_existence(PROBS).T, strict=True):
-        somewhere, held = 0.0, np.zeros(3)
-        for world in product((0, 1), repeat=3):
-            weight = np.prod([p if there else 1 - p for p, there in zip(column, world, strict=True)])
-            if any(world):
-                somewhere += weight
-                held += weight * np.array(world)
-        np.testing.assert_allclose(found, held / somewhere)
 
 
 @pytest.fixture
