@@ -177,8 +177,8 @@ def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
     def excess(offset: Floats, wanted: Floats) -> Floats:
         return np.asarray(expit(offset[..., None] + shift.ravel()) @ weight - wanted)
 
-    # The mean lies between the least and the greatest of what it is the mean of.
-    widest = np.abs(shift).max()
+    # The mean lies between the least and the greatest of what it is the mean of; 1 for where these are the same.
+    widest = np.abs(shift).max() + 1.0
     found = elementwise.find_root(excess, (logit(wanted) - widest, logit(wanted) + widest), args=(wanted,))
     return np.asarray(found.x[where].reshape(prior.shape))
 
