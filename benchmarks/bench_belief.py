@@ -70,12 +70,12 @@ def main() -> None:
         print(f"contents of {name}, prior of {prior}: log loss {loss:.4f} without adapting", flush=True)
         for kind_sd, object_sd, forget in settings:
             after = beliefs(homes, tasks, table, AdaptOptions(kind_sd, object_sd, forget))
-            found = change(after, before, "log_loss", home_of)
-            print(
-                f"  kind_sd {kind_sd:4} object_sd {object_sd:4} forget {forget:5}: "
-                f"{found.value:+.4f} [{found.low:+.4f}, {found.high:+.4f}]",
-                flush=True,
-            )
+            changes = [
+                change(after.loc[part], before.loc[part], "log_loss", home_of)
+                for part in (before.index, ~before["seen"])
+            ]
+            text = ", of pairs not seen before ".join(f"{c.value:+.4f} [{c.low:+.4f}, {c.high:+.4f}]" for c in changes)
+            print(f"  kind_sd {kind_sd:4} object_sd {object_sd:4} forget {forget:5}: {text}", flush=True)
 
 
 def learned(homes: Sequence[Home]):  # type: ignore[no-untyped-def]

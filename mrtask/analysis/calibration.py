@@ -32,13 +32,18 @@ class Task:
 
 
 def beliefs_of(home: Home, tasks: Sequence[Task], table: LikelihoodTable, options: AdaptOptions | None) -> pd.DataFrame:
-    """``trial_id, task, pair, prob, held`` of each pair of container and object, at the beginning of each task."""
+    """``trial_id, task, pair, prob, held, seen`` of each pair of container and object, at the beginning of each task.
+
+    ``seen``: whether an earlier task showed if the container holds the object, so that it need only be remembered.
+    """
     seen: list[Sighting] = []
     parts = []
     for number, task in enumerate(tasks):
         belief = given_existence(belief_about(table, home, task.objects, seen, number, options))
         held = [[name in container.objects for name in task.objects] for container in home.containers]
-        pairs = pd.DataFrame({"prob": belief.ravel(), "held": np.array(held).ravel()})
+        known = {(sighting.container, sighting.object) for sighting in seen}
+        before = [[(index, name) in known for name in task.objects] for index in range(len(home.containers))]
+        pairs = pd.DataFrame({"prob": belief.ravel(), "held": np.ravel(held), "seen": np.ravel(before)})
         parts.append(pairs.assign(trial_id=task.trial_id, task=number, pair=range(len(pairs))))
         searched = [container.id in task.searched for container in home.containers]
         seen += sightings_of(home, number, searched, task.objects)

@@ -219,7 +219,7 @@ def belief_table(study: PriorStudy, contents: str) -> Table:
     if study.tasks > 1:
         later = f"tasks {last[0] + 1} to {last[-1] + 1}"
         columns += [(later, "log loss"), (later, "Brier"), (later, "calibration error")]
-        columns += [("changed by adapting", "log loss"), ("changed by adapting", "Brier")]
+        columns += [("changed by adapting", name) for name in ("log loss", "Brier", "log loss, not seen before")]
     rows = [_heading(contents, "of what was believed at the beginning of a task")]
     for arm in study.of_contents(contents):
         entries: list[Entry] = []
@@ -229,9 +229,11 @@ def belief_table(study: PriorStudy, contents: str) -> Table:
             entries.append(Entry(f"{found.ece:.4f}"))
         without = study.find(contents, arm.prior)
         if study.tasks > 1 and arm.adapts and without is not None:
-            entries += [_number(study.changed(arm, without, name, last), signed=True) for name in LOSSES]
+            changes = [study.changed(arm, without, name, last) for name in LOSSES]
+            changes.append(study.changed(arm, without, "log_loss", last, unseen=True))
+            entries += [_number(estimate, signed=True) for estimate in changes]
         elif study.tasks > 1:
-            entries += [Entry(NOTHING)] * len(LOSSES)
+            entries += [Entry(NOTHING)] * (len(LOSSES) + 1)
         rows.append(Row(arm.name, tuple(entries)))
     return Table(tuple(columns), tuple(rows))
 

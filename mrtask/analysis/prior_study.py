@@ -142,9 +142,14 @@ class PriorStudy:
         """How good what was believed at the beginning of these tasks was."""
         return calibration(arm.beliefs[arm.beliefs["task"].isin(tasks)], self.home_of)
 
-    def changed(self, arm: ArmRows, without: ArmRows, loss: str, tasks: Sequence[int]) -> Estimate:
-        """How adapting changes a mean loss of these tasks."""
+    def changed(
+        self, arm: ArmRows, without: ArmRows, loss: str, tasks: Sequence[int], unseen: bool = False
+    ) -> Estimate:
+        """How adapting changes a mean loss of these tasks; ``unseen``: of what the adapting team had not seen before."""
         first, second = (one.beliefs[one.beliefs["task"].isin(tasks)] for one in (arm, without))
+        if unseen:
+            kept = ~first["seen"].to_numpy()
+            first, second = first[kept], second[kept]
         return change(first, second, loss, self.home_of)
 
     def _by_home(self, costs: pd.DataFrame, statistic: Callable[[Floats], Floats]) -> Estimate:

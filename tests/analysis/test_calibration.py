@@ -27,6 +27,7 @@ def test_each_task_begins_with_what_the_searches_before_it_showed(two_room_home,
     seen = [Sighting(0, number, "Egg", False) for number in (1, 2)]
     expected = adapted(np.full((3, 2), 0.25), ("Egg", "Book"), two_room_home.container_kinds(), seen, 1, AdaptOptions())
     np.testing.assert_allclose(second["prob"], given_existence(expected).ravel())
+    assert second["seen"].tolist() == [False, False, True, False, True, False], "the egg, on table and bed"
     plain = beliefs_of(two_room_home, tasks, table, None)
     np.testing.assert_allclose(plain["prob"], 0.25 / (1 - 0.75**3))
 

@@ -39,7 +39,9 @@ def beliefs(prob):
     trials = [f"{cell}-{number:03d}" for cell in ("small-1", "large-2") for number in range(HOMES * TASKS)]
     frame = pd.DataFrame({"trial_id": np.repeat(trials, 2), "pair": np.tile([0, 1], len(trials))})
     number = frame["trial_id"].str[-3:].astype(int) % TASKS
-    return frame.assign(task=number, held=frame["pair"] == 0, prob=np.where(frame["pair"] == 0, prob, 1 - prob))
+    return frame.assign(
+        task=number, held=frame["pair"] == 0, seen=False, prob=np.where(frame["pair"] == 0, prob, 1 - prob)
+    )
 
 
 @pytest.fixture(scope="module")
