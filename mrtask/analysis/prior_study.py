@@ -145,7 +145,7 @@ class PriorStudy:
     def changed(
         self, arm: ArmRows, without: ArmRows, loss: str, tasks: Sequence[int], unseen: bool = False
     ) -> Estimate:
-        """How adapting changes a mean loss of these tasks; ``unseen``: of what the adapting team had not seen before."""
+        """How adapting changes a mean loss of these tasks; ``unseen``: of what the team had not seen before."""
         first, second = (one.beliefs[one.beliefs["task"].isin(tasks)] for one in (arm, without))
         if unseen:
             kept = ~first["seen"].to_numpy()
