@@ -68,8 +68,13 @@ def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibratio
     """Of ``beliefs`` as of `beliefs_of`; ``home_of``: trial -> the home that is resampled as a whole."""
     counts = pd.DataFrame({"positives": beliefs["held"].astype(float), "count": 1.0})
     probs = beliefs["prob"].to_numpy()
-    losses = {name: _mean(_with_losses(beliefs), name, home_of) for name in LOSSES}
+    losses = {name: mean_loss(beliefs, name, home_of) for name in LOSSES}
     return Calibration(losses, evaluate(probs, counts)["ece"], reliability(probs, counts))
+
+
+def mean_loss(beliefs: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
+    """The mean of one of `LOSSES` over all pairs."""
+    return _mean(_with_losses(beliefs), name, home_of)
 
 
 def change(after: pd.DataFrame, before: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:

@@ -268,7 +268,7 @@ def draw_calibration(study: PriorStudy) -> Figure:
         figure, grid = _grid(study)
         for contents, (upper, lower) in zip(study.contents, grid.T, strict=True):
             for arm in study.of_contents(contents):
-                losses = [study.calibrated(arm, [number - 1]).losses["log_loss"].value for number in numbers]
+                losses = [study.loss(arm, "log_loss", number - 1).value for number in numbers]
                 upper.plot(numbers, losses, **_look(arm))
                 curve = study.calibrated(arm, last).curve
                 lower.plot(curve["mean_prob"], curve["frequency"], **_look(arm))

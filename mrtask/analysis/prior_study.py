@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.calibration import Calibration, calibration, change
+from mrtask.analysis.calibration import Calibration, calibration, change, mean_loss
 from mrtask.analysis.episodes import checked_episodes, size_classes_in_order
 from mrtask.analysis.findings import main_planner
 from mrtask.analysis.statistics import EVERYTHING, UNDEFINED, Bootstrap, Cell, Estimate, Floats, improvement_of_means
@@ -141,6 +141,10 @@ class PriorStudy:
     def calibrated(self, arm: ArmRows, tasks: Sequence[int]) -> Calibration:
         """How good what was believed at the beginning of these tasks was."""
         return calibration(arm.beliefs[arm.beliefs["task"].isin(tasks)], self.home_of)
+
+    def loss(self, arm: ArmRows, name: str, task: int) -> Estimate:
+        """A mean loss of what was believed at the beginning of one task."""
+        return mean_loss(arm.beliefs[arm.beliefs["task"] == task], name, self.home_of)
 
     def changed(
         self, arm: ArmRows, without: ArmRows, loss: str, tasks: Sequence[int], unseen: bool = False
