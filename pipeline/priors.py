@@ -37,6 +37,9 @@ from pipeline.store.rows import read_episodes, read_traces
 BLIND = {*BASELINES, *planners_with_role(Role.BOUND)} - {INFORMED_BASELINE}
 """Planners that look at no likelihood: they run once for all priors."""
 
+OF_EPISODES = {"seed", "map", "homes", "contents", "belief", "planner", "planner_variants", "evaluation"}
+"""The parts of the configuration by which a run's folder is named."""
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -52,7 +55,7 @@ class Arm:
         """The evaluation's configuration, with a folder of its own."""
         evaluation = self.config.evaluation.model_copy(update={"planners": tuple(planners)})
         config = self.config.model_copy(update={"evaluation": evaluation})
-        key = content_hash(config.model_dump(mode="json", exclude={"output_dir", "overwrite", "dry_run", "cluster"}))
+        key = content_hash(config.model_dump(mode="json", include=OF_EPISODES))
         name = "-".join([self.contents, self.prior, *(["adapting"] if self.adapts else [])])
         return config.model_copy(update={"output_dir": layout.runs(Folder(self.config.output_dir), name, key).location})
 
