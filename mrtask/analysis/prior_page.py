@@ -45,10 +45,10 @@ def render_priors(arms: Sequence[ArmRows], tasks: int, experiment: str) -> str:
         ValueError: the episodes are not what `PriorStudy.of` demands.
     """
     study = PriorStudy.of(arms, tasks)
-    sections = [
-        _section("cost", "What a prior costs", _tables(study, cost_table)),
-        _section("margin", f"{planner_label(study.planner)} over the baselines", _tables(study, margin_table)),
-    ]
+    sections = [_section("cost", "What a prior costs", _tables(study, cost_table))]
+    if any(set(BASELINES) & set(arm.episodes["planner"]) for arm in arms):
+        title = f"{planner_label(study.planner)} over the baselines"
+        sections.append(_section("margin", title, _tables(study, margin_table)))
     if any(arm.adapts for arm in arms):
         sections.append(_section("adapting", "What adapting wins back", _tables(study, adapting_table)))
     if tasks > 1:

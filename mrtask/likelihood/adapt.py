@@ -37,12 +37,12 @@ Cell = tuple[int, int]
 class AdaptOptions:
     """How far households differ from the likelihood model, and how soon they put things elsewhere.
 
-    ``kind_sd``, ``object_sd``: standard deviations in log odds. ``forget``: the probability, per task, that a
-    container's holding an object is drawn anew.
+    ``kind_sd``, ``object_sd``: standard deviations in log odds, chosen by ``benchmarks/bench_belief.py``. ``forget``:
+    the probability, per task, that a container's holding an object is drawn anew.
     """
 
     kind_sd: float = 0.5
-    object_sd: float = 0.5
+    object_sd: float = 1.0
     forget: float = 0.02
 
     def __post_init__(self) -> None:
