@@ -18,18 +18,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mrtask.analysis.calibration import Task, beliefs_of, calibration, change
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE
 from mrtask.homes.split import split_homes
-from mrtask.likelihood.adapt import AdaptOptions
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.options import TrainingOptions
-from mrtask.likelihood.priors import count_triples
-from mrtask.likelihood.rows import vocabulary
+from mrtask.likelihood.rows import count_triples, vocabulary
 from mrtask.likelihood.table import LikelihoodTable, build_table
 from mrtask.likelihood.training import fit
 from pipeline.store.voted_contents import VotedContents
@@ -104,8 +104,19 @@ def beliefs(
     homes: Sequence[Home], tasks: Sequence[Sequence[Task]], table: LikelihoodTable, options: AdaptOptions | None
 ) -> pd.DataFrame:
     """What is believed from the second task on."""
-    found = pd.concat(beliefs_of(home, done, table, options) for home, done in zip(homes, tasks, strict=True))
+    found = pd.concat(_beliefs_in(home, done, table, options) for home, done in zip(homes, tasks, strict=True))
     return found[found["task"] > 0].reset_index(drop=True)
+
+
+def _beliefs_in(home: Home, done: Sequence[Task], table: LikelihoodTable, options: AdaptOptions | None) -> pd.DataFrame:
+    def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
+        if options is None:
+            return table.matrix(home, task.objects)
+        known = tuple(dict.fromkeys([*task.objects, *(sighting.object for sighting in seen)]))
+        prior = table.matrix(home, known)
+        return adapted(prior, known, home.container_kinds(), seen, number, options)[:, : len(task.objects)]
+
+    return beliefs_of(home, done, believe)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,7 @@ from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
-from mrtask.likelihood.priors import count_triples
-from mrtask.likelihood.rows import SPLITS, vocabulary
+from mrtask.likelihood.rows import SPLITS, count_triples, vocabulary
 from mrtask.likelihood.training import fit, score, score_unseen
 from pipeline.store.voted_contents import VotedContents
 

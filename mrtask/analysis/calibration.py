@@ -4,19 +4,19 @@ Judged is what a planner acts on: the probability that a container holds an obje
 somewhere in the home, as every task's object is. The unit is one pair of container and object.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mrtask.analysis.statistics import Bootstrap, Estimate
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
-from mrtask.likelihood.adapt import AdaptOptions, Sighting, belief_about, sightings_of
+from mrtask.likelihood.adapt import Sighting, sightings_of
 from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.metrics import evaluate, reliability
-from mrtask.likelihood.table import LikelihoodTable
 
 LOSSES = ("log_loss", "brier")
 """Of each pair, so that their means have intervals; the calibration error is of all pairs together."""
@@ -29,9 +29,15 @@ class Task:
     trial_id: str
     objects: tuple[str, ...]
     searched: frozenset[str]
+    seed: int = 0
+    """The trial's."""
 
 
-def beliefs_of(home: Home, tasks: Sequence[Task], table: LikelihoodTable, options: AdaptOptions | None) -> pd.DataFrame:
+Believe = Callable[[Task, int, Sequence[Sighting]], NDArray[np.float64]]
+"""What a team believes of a task's objects, ``[C, O]``, from the task, its number and what earlier ones showed."""
+
+
+def beliefs_of(home: Home, tasks: Sequence[Task], believe: Believe) -> pd.DataFrame:
     """``trial_id, task, pair, prob, held, seen`` of each pair of container and object, at the beginning of each task.
 
     ``seen``: whether an earlier task showed if the container holds the object, so that it need only be remembered.
@@ -39,7 +45,7 @@ def beliefs_of(home: Home, tasks: Sequence[Task], table: LikelihoodTable, option
     seen: list[Sighting] = []
     parts = []
     for number, task in enumerate(tasks):
-        belief = given_existence(belief_about(table, home, task.objects, seen, number, options))
+        belief = given_existence(believe(task, number, seen))
         held = [[name in container.objects for name in task.objects] for container in home.containers]
         known = {(sighting.container, sighting.object) for sighting in seen}
         before = [[(index, name) in known for name in task.objects] for index in range(len(home.containers))]

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from mrtask.analysis.calibration import LOSSES
 from mrtask.analysis.columns import Entry, Row, Table
 from mrtask.analysis.findings import Findings
-from mrtask.analysis.prior_study import CONTENTS_NAMES, ORACLE, PRIOR_NAMES, ArmRows, PriorStudy
+from mrtask.analysis.prior_study import CONTENTS_NAMES, PRIOR_NAMES, TRUTH, ArmRows, PriorStudy
 from mrtask.analysis.sections import Picture
 from mrtask.analysis.statistics import BASELINES, EVERYTHING, Estimate
 from mrtask.analysis.style import (
@@ -29,7 +29,7 @@ from mrtask.analysis.style import (
 from mrtask.analysis.tables import cell_headings, percent_entry
 from mrtask.analysis.templating import render_fragment, script_digest
 
-PRIOR_COLORS = {"uniform": GREY, "procthor": ORANGE, "housekeep": BLUE, ORACLE: BLACK}
+PRIOR_COLORS = {"uniform": GREY, "procthor": ORANGE, "housekeep": BLUE, TRUTH: BLACK}
 PANEL_IN = 4.6, 2.9
 OWN_PRIOR = {"procthor": "procthor", "housekeep": "housekeep"}
 """Contents -> the prior that was learned from homes with the same."""
@@ -111,9 +111,9 @@ def findings(study: PriorStudy) -> Findings:
     sentences, verdicts = [], []
     for contents in study.contents:
         where = f"Contents of {CONTENTS_NAMES[contents]}"
-        true = study.find(contents, ORACLE)
+        true = study.find(contents, TRUTH)
         for arm in study.of_contents(contents) if true is not None else ():
-            if not arm.adapts and arm.prior != ORACLE:
+            if not arm.adapts and arm.prior != TRUTH:
                 above = study.above(study.costs(arm), study.costs(true)) if true else None
                 sentences.append(f"{where}: the {arm.name} prior costs {_percent(above)} more than the true one.")
         for arm, without in study.pairs(contents):
@@ -143,7 +143,7 @@ def cost_table(study: PriorStudy, contents: str) -> Table:
     """Mean costs with the true prior, and how far those with the others are above them, by cell."""
     title = f"cost of {planner_label(study.planner)} above that with the true prior"
     rows = [_heading(contents, title)]
-    true = study.find(contents, ORACLE)
+    true = study.find(contents, TRUTH)
     for arm in study.of_contents(contents):
         costs = study.costs(arm)
         if true is None or arm is true:
@@ -196,7 +196,7 @@ def task_table(study: PriorStudy, contents: str) -> Table:
     rows = [_heading(contents, "saved by adapting")]
     for arm, without in study.pairs(contents):
         rows.append(Row(PRIOR_NAMES[arm.prior], tuple(map(_toned, by_task(study, arm, without)))))
-    true = study.find(contents, ORACLE)
+    true = study.find(contents, TRUTH)
     others = [arm for arm in study.of_contents(contents) if true is not None and arm is not true]
     if others:
         rows.append(_heading(contents, "cost above that with the true prior"))
@@ -244,7 +244,7 @@ def draw_tasks(study: PriorStudy) -> Figure:
     with house_style():
         figure, grid = _grid(study)
         for contents, (upper, lower) in zip(study.contents, grid.T, strict=True):
-            true = study.find(contents, ORACLE)
+            true = study.find(contents, TRUTH)
             for arm in study.of_contents(contents):
                 if true is not None and arm is not true:
                     above = [-estimate.value for estimate in by_task(study, arm, true)]

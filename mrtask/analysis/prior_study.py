@@ -15,9 +15,9 @@ from mrtask.analysis.episodes import checked_episodes, size_classes_in_order
 from mrtask.analysis.findings import main_planner
 from mrtask.analysis.statistics import EVERYTHING, UNDEFINED, Bootstrap, Cell, Estimate, Floats, improvement_of_means
 
-ORACLE = "oracle"
+TRUTH = "truth"
 CONTENTS_NAMES = {"procthor": "ProcTHOR", "housekeep": "people"}
-PRIOR_NAMES = {"uniform": "uniform", "procthor": "ProcTHOR", "housekeep": "human", ORACLE: "true"}
+PRIOR_NAMES = {"uniform": "uniform", "procthor": "ProcTHOR", "housekeep": "human", TRUTH: "true"}
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class PriorStudy:
 
     def won_back(self, arm: ArmRows, without: ArmRows, cell: Cell) -> Estimate:
         """The share in percent of what a prior costs against the true one that adapting wins back."""
-        true = self.find(arm.contents, ORACLE)
+        true = self.find(arm.contents, TRUTH)
         if true is None:
             return UNDEFINED
         columns = {"arm": self.costs(arm), "without": self.costs(without), "true": self.costs(true)}

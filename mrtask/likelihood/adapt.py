@@ -24,7 +24,6 @@ from scipy.special import expit, logit
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import clip_probs
-from mrtask.likelihood.table import LikelihoodTable
 
 NODES = 7
 
@@ -68,22 +67,6 @@ def sightings_of(home: Home, task: int, searched: Sequence[bool], objects: Seque
         if seen
         for name in objects
     )
-
-
-def belief_about(
-    table: LikelihoodTable,
-    home: Home,
-    objects: Sequence[str],
-    seen: Sequence[Sighting] = (),
-    task: int = 0,
-    options: AdaptOptions | None = None,
-) -> Floats:
-    """``P(object in container)``, ``[C, O]``: the table's, corrected by what was ``seen`` if there are ``options``."""
-    if options is None or not seen:
-        return table.matrix(home, objects)
-    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
-    prior = table.matrix(home, known)
-    return adapted(prior, known, home.container_kinds(), seen, task, options)[:, : len(objects)]
 
 
 def adapted(

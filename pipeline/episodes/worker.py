@@ -12,14 +12,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mrtask.analysis.bounds.assess import assess
 from mrtask.analysis.calibration import Task, beliefs_of
 from mrtask.execution.episode import Observer, run_episode, warm_up
-from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
+from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
-from mrtask.likelihood.adapt import AdaptOptions, Sighting, belief_about, sightings_of
+from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
+from mrtask.likelihood.given import GivenOptions, given_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
@@ -61,10 +64,11 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What made a row; each of its fields is a column."""
+    """What made a row."""
 
     model_version: str
-    config_hash: str
+    config_hashes: Mapping[str, str]
+    """By planner."""
     code_version: str
 
 
@@ -81,6 +85,10 @@ class Context:
     provenance: Provenance
     planners_behind: Mapping[str, str] = field(default_factory=dict)
     """The planner that each name stands for; a name that is not here stands for itself."""
+    truth: LikelihoodTable | None = None
+    """The true likelihoods, where a planner is given them."""
+    given: Mapping[str, GivenOptions] = field(default_factory=dict)
+    """Which likelihoods each planner is given; one that is not here, the model's."""
     home_order: str = "shuffled"
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
@@ -107,23 +115,25 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_chain(keys: tuple[EpisodeKey, ...], context: Context) -> tuple[EpisodeRow, ...]:
-    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before."""
+def run_chain(
+    keys: tuple[EpisodeKey, ...], context: Context, observe: Observer | None = None
+) -> tuple[EpisodeRow, ...]:
+    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before.
+
+    ``observe`` is called at each decision of the last.
+    """
     seen: list[Sighting] = []
     rows = []
     for task, key in enumerate(keys):
-        row, sightings = _run(key, task, seen, context)
+        row, sightings = _run(key, task, seen, context, observe if key is keys[-1] else None)
         rows.append(row)
         seen += sightings
     return tuple(rows)
 
 
-def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet.
-
-    ``observe`` is called at each of its decisions.
-    """
-    return _run(key, 0, (), context, observe)[0]
+def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
+    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet."""
+    return _run(key, 0, (), context)[0]
 
 
 def _run(
@@ -134,7 +144,7 @@ def _run(
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = belief_about(context.table, home, trial.objects, seen, task, context.adapt)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context, task, seen)
     home_map = bench.map_of(trial.home_id)
     result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
@@ -160,34 +170,62 @@ def _run(
     return row, sightings_of(home, task, result.searched, trial.objects)
 
 
+def _likelihood(
+    home: Home,
+    objects: Sequence[str],
+    seed: int,
+    planner: str,
+    context: Context,
+    task: int = 0,
+    seen: Sequence[Sighting] = (),
+) -> NDArray[np.float64]:
+    """``P(object in container)``, ``[C, O]``, as a planner is given it: corrected by what was seen if beliefs adapt."""
+    options = context.given.get(planner, GivenOptions())
+    table = context.table if options.source == "model" else context.truth
+    if table is None:
+        raise ValueError(f"{planner} is to be given the true likelihoods, which this evaluation has not got")
+    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
+    kinds = home.container_kinds()
+    prior = given_likelihood(table.matrix(home, known), kinds, options, key_seed(seed, "likelihood"))
+    if context.adapt is None or not seen:
+        return prior[:, : len(objects)]
+    return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(objects)]
+
+
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
     """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = context.table.matrix(home, trial.objects)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
     return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
 
 
 @dataclass(frozen=True)
 class HomeTasks:
-    """A team's tasks in one home, in order."""
+    """A planner's tasks in one home, in order."""
 
+    planner: str
     home_id: str
     tasks: tuple[Task, ...]
 
 
 def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
     """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
-    return beliefs_of(_bench(context).homes[done.home_id], done.tasks, context.table, context.adapt)
+    home = _bench(context).homes[done.home_id]
+
+    def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
+        return _likelihood(home, task.objects, task.seed, done.planner, context, number, seen)
+
+    return beliefs_of(home, done.tasks, believe)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
     """Compiles what the planner needs."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
-    likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
     warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 
@@ -202,7 +240,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
         status=status,
         error=error,
         model_version=made_by.model_version,
-        config_hash=made_by.config_hash,
+        config_hash=made_by.config_hashes[key.planner],
         code_version=made_by.code_version,
     )
 

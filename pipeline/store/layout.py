@@ -8,11 +8,12 @@ stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
+sensitivity/          index.html, written by pipeline.sensitivity
 homes/, realism/      what draw=true and pipeline.realism leave
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
-runs/<arm>-<key>/     of an ablation, or of priors: one output_dir for each evaluation
-beliefs.parquet       in such a run of priors: what was believed at the beginning of each task
+runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_dir for each evaluation
+beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -29,11 +30,13 @@ REPORT_KEY = "manifest.json"
 OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
+SENSITIVITY = "sensitivity"
 REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
 RUNS = "runs"
-BELIEFS = "beliefs.parquet"
+BELIEFS = "beliefs"
+"""A folder: a file for each arm."""
 
 
 def forget_episodes(folder: Folder) -> None:
@@ -43,7 +46,7 @@ def forget_episodes(folder: Folder) -> None:
 
 
 def runs(folder: Folder, name: str, key: str) -> Folder:
-    """The folder of one evaluation of an ablation or of priors."""
+    """The folder of one of the evaluations that arms share."""
     return folder / RUNS / f"{name}-{key}"
 
 

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 from mrtask.analysis.prior_page import render_priors
-from mrtask.analysis.prior_study import ORACLE, ArmRows, PriorStudy
+from mrtask.analysis.prior_study import TRUTH, ArmRows, PriorStudy
 from mrtask.analysis.statistics import EVERYTHING
 
 TASKS, HOMES = 4, 12
-FACTORS = {(ORACLE, False): 1.0, ("procthor", False): 1.5, ("procthor", True): 1.2}
+FACTORS = {(TRUTH, False): 1.0, ("procthor", False): 1.5, ("procthor", True): 1.2}
 
 
 def episodes(factor, cells=(("small", 1), ("large", 2)), homes=HOMES):
@@ -68,7 +68,7 @@ def test_what_a_prior_costs_and_what_adapting_wins_back(study, arms):
     assert study.won_back(adapting, wrong, EVERYTHING).value == pytest.approx(60)
     assert study.won_back(adapting, wrong, ("small", 1)).value == pytest.approx(60)
     assert list(study.pairs("housekeep")) == [(adapting, wrong)]
-    assert study.find("procthor", ORACLE) is None and study.find("housekeep", ORACLE) is true
+    assert study.find("procthor", TRUTH) is None and study.find("housekeep", TRUTH) is true
     assert study.cells == [("small", 1), ("large", 2), EVERYTHING]
     assert study.planner == "pouct"
 
@@ -111,6 +111,6 @@ def test_the_page_says_it_all(arms):
 
 
 def test_episodes_that_are_none_are_refused(arms):
-    broken = ArmRows("housekeep", ORACLE, False, arms[0].episodes.drop(columns="status"), arms[0].beliefs)
+    broken = ArmRows("housekeep", TRUTH, False, arms[0].episodes.drop(columns="status"), arms[0].beliefs)
     with pytest.raises(ValueError, match="the episodes lack the columns status"):
         render_priors([broken], TASKS, "test")

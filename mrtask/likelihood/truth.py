@@ -1,0 +1,32 @@
+"""The true likelihoods of homes: what a model that made no error would say of an object, a container and a room.
+
+Homes whose contents were drawn from the catalogue have them. For all others the best that can be had are the counts of
+the very homes that planners are evaluated on: no model could know these, and where there are few homes, they know a
+little of what is in each.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+
+from mrtask.homes.catalogue import load_catalogue
+from mrtask.homes.contents import object_probs
+from mrtask.homes.home import Home
+from mrtask.likelihood.frequency import FrequencyModel
+from mrtask.likelihood.function import FunctionModel
+from mrtask.likelihood.rows import count_triples
+
+
+def catalogue_truth() -> FunctionModel:
+    """How likely the generator is to put an object into a container."""
+    catalogue = load_catalogue()
+
+    @cache
+    def probs(room: str, container: str) -> dict[str, float]:
+        return object_probs(catalogue, room, container)
+
+    return FunctionModel(lambda name, container, room: probs(room, container).get(name, 0.0))
+
+
+def counted_truth(homes: Sequence[Home]) -> FrequencyModel:
+    """How often an object lies in the containers of a kind in these homes; rare kinds lean on similar ones."""
+    return FrequencyModel(count_triples(homes))
