@@ -9,7 +9,7 @@ from tests.homes.made_up_votes import write
 from tests.pipeline.harness import SMALL, Cli
 
 CONTENTS = ("contents.file=votes.npy", "contents.sha256=null")
-PRIORS = ("priors.contents=[housekeep]", "priors.trained_on=[procthor]", "priors.others=[oracle]")
+PRIORS = ("priors.contents=[housekeep]", "priors.trained_on=[procthor]", "priors.others=[truth]")
 
 
 def test_every_prior_runs_the_same_trials_and_one_page_compares_them(cli: Cli, tmp_path: Path) -> None:
@@ -19,23 +19,17 @@ def test_every_prior_runs_the_same_trials_and_one_page_compares_them(cli: Cli, t
     command = (*SMALL, *CONTENTS, *PRIORS, *few, "evaluation.trials_per_cell=4", "output_dir=out")
     done = cli("priors", *command)
     assert done.code == 0, done.err
-    runs = {
-        folder.name.rpartition("-")[0]: pd.read_parquet(folder / "episodes") for folder in tmp_path.glob("out/runs/*")
-    }
-    assert set(runs) == {"housekeep-oracle", "housekeep-procthor", "housekeep-procthor-adapting"}
-    trials = ["trial_id", "home_id", "formula", "seed"]
-    same = [frame[frame["planner"] == "pouct"].sort_values("trial_id")[trials] for frame in runs.values()]
-    assert len(same[0]) == 4 and all(
-        frame.reset_index(drop=True).equals(same[0].reset_index(drop=True)) for frame in same
-    )
-    blind = {name: set(frame["planner"]) - {"pouct"} for name, frame in runs.items()}
-    assert blind["housekeep-oracle"] == {"nonlearned_myopic"} and not blind["housekeep-procthor"]
-    beliefs = {path.parent.name: pd.read_parquet(path) for path in tmp_path.glob("out/runs/*/beliefs.parquet")}
-    beliefs = {name.rpartition("-")[0]: frame for name, frame in beliefs.items()}
+    beliefs = {path.stem: pd.read_parquet(path) for path in tmp_path.glob("out/runs/*/beliefs/*")}
+    assert set(beliefs) == {"housekeep-truth", "housekeep-procthor", "housekeep-procthor-adapting"}
     plain, adapting = beliefs["housekeep-procthor"], beliefs["housekeep-procthor-adapting"]
     first = plain["task"] == 0
     pd.testing.assert_frame_equal(plain[first], adapting[first])
     assert not plain["prob"].equals(adapting["prob"]), "the second task begins with what the first one showed"
+    assert not plain["prob"].equals(beliefs["housekeep-truth"]["prob"])
+    runs = pd.concat([pd.read_parquet(folder) for folder in tmp_path.glob("out/runs/*/episodes")])
+    pouct = runs[runs["planner"].str.startswith("pouct:")]
+    assert pouct.groupby("trial_id")[["home_id", "formula", "seed"]].nunique().eq(1).all(axis=None)
+    assert pouct.groupby("trial_id").size().eq(3).all() and pouct["trial_id"].nunique() == 4
     page = (tmp_path / "out/report/index.html").read_text()
     assert "ProcTHOR, adapting" in page and "nonlearned_myopic" in page
     times = [path.stat().st_mtime_ns for path in sorted(tmp_path.glob("out/runs/*/episodes/*"))]
@@ -46,9 +40,8 @@ def test_every_prior_runs_the_same_trials_and_one_page_compares_them(cli: Cli, t
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("priors.others=[flat]", "priors.others.0=flat: allowed: 'uniform', 'oracle'"),
+        ("priors.others=[flat]", "priors.others.0=flat: allowed: 'uniform', 'truth'"),
         ("evaluation.unsearched_share=[0.5,1.0]", "nothing is known from the start"),
-        ("belief.prior=flat", "belief.prior=flat: allowed: 'model', 'uniform', 'oracle'"),
     ],
 )
 def test_mistakes_are_refused(override: str, message: str, cli: Cli) -> None:
