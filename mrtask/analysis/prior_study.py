@@ -85,6 +85,10 @@ class PriorStudy:
         wanted = (contents, prior, adapts)
         return next((arm for arm in self.arms if (arm.contents, arm.prior, arm.adapts) == wanted), None)
 
+    def best(self, contents: str) -> ArmRows | None:
+        """What others are compared with: the true prior, or else that learned from homes with the same contents."""
+        return self.find(contents, TRUTH) or self.find(contents, contents)
+
     def pairs(self, contents: str) -> Iterator[tuple[ArmRows, ArmRows]]:
         """Each prior with adapting and without."""
         for arm in self.of_contents(contents):
@@ -110,11 +114,11 @@ class PriorStudy:
         return Estimate(-saved.value, -saved.high, -saved.low, saved.n)
 
     def won_back(self, arm: ArmRows, without: ArmRows, cell: Cell) -> Estimate:
-        """The share in percent of what a prior costs against the true one that adapting wins back."""
-        true = self.find(arm.contents, TRUTH)
-        if true is None:
+        """The share in percent of what a prior costs against the best one that adapting wins back."""
+        best = self.best(arm.contents)
+        if best is None or best is without:
             return UNDEFINED
-        columns = {"arm": self.costs(arm), "without": self.costs(without), "true": self.costs(true)}
+        columns = {"arm": self.costs(arm), "without": self.costs(without), "best": self.costs(best)}
         table = pd.concat(columns, axis=1).dropna()
         return self._by_home(table[self.in_cell(table.index, cell)], _won_back)
 
@@ -167,6 +171,6 @@ def _parts(trial: str) -> tuple[str, str, str]:
 
 
 def _won_back(means: Floats) -> Floats:
-    """Means of the arm, of the prior without adapting, of the true prior; NaN where the prior costs nothing."""
+    """Means of the arm, of the prior without adapting, of the best prior; NaN where the prior costs nothing."""
     lost = means[..., 1] - means[..., 2]
     return np.asarray(np.where(lost > 0, 100 * (means[..., 1] - means[..., 0]) / lost, np.nan))

@@ -73,6 +73,13 @@ def test_what_a_prior_costs_and_what_adapting_wins_back(study, arms):
     assert study.planner == "pouct"
 
 
+def test_without_the_true_prior_that_of_the_same_contents_is_the_measure(arms):
+    own = ArmRows("housekeep", "housekeep", False, arms[0].episodes, arms[0].beliefs)
+    study = PriorStudy.of([arms[1], own], TASKS)
+    assert study.best("housekeep") is own and study.best("procthor") is None
+    assert study.won_back(arms[2], arms[1], EVERYTHING).value == pytest.approx(60)
+
+
 def test_intervals_are_over_homes(study):
     costs = study.costs(study.arms[0])
     rng = np.random.default_rng(1)
