@@ -58,7 +58,7 @@ def run(config: Config, session: Session) -> None:
         raise UserError("evaluation.unsearched_share: priors are compared where nothing is known from the start")
     # Of the contents that no prior is learned from, for the priors that nothing is learned for: they need some model.
     trained_on = dict.fromkeys([*config.priors.trained_on, *(config.priors.contents if config.priors.others else ())])
-    versions = {
+    versions: dict[str, str] = {
         name: train.run(with_overrides(config, [f"homes.contents={name}"]), session).model_version
         for name in trained_on
     }
@@ -102,7 +102,7 @@ def _read(shared: SharedRun, session: Session) -> dict[str, tuple[pd.DataFrame, 
         folder, file = Folder(config.output_dir) / BELIEFS, f"{slug(arm)}.parquet"
         content = folder.read(file)
         beliefs = None if content is None else pd.read_parquet(io.BytesIO(content))
-        planner = str(main_planner(rows["planner"].unique()))
+        planner = str(main_planner(sorted(set(rows["planner"]))))
         own = rows[(rows["planner"] == planner) & rows["home_id"].notna()]
         if beliefs is None or set(beliefs["trial_id"]) != set(own["trial_id"]):
             if context is None:
@@ -129,9 +129,12 @@ def _beliefs(own: pd.DataFrame, planner: str, episodes: Folder, context: Context
             str(of_home["home_id"].iloc[0]),
             tuple(
                 Task(
-                    row.trial_id, tuple(row.objects), searched_in(Trace.from_json(traces[row.trial_id])), int(row.seed)
+                    row["trial_id"],
+                    tuple(row["objects"]),
+                    searched_in(Trace.from_json(traces[row["trial_id"]])),
+                    int(row["seed"]),
                 )
-                for row in of_home.itertuples()
+                for row in of_home.to_dict("records")
             ),
         )
         for _, of_home in own.groupby(["size_class", "robots", "chain"])
