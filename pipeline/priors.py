@@ -83,7 +83,9 @@ def arms_of(config: Config, versions: Mapping[str, str]) -> list[PriorArm]:
     models = {name: f"evaluation.model_uri=models:/{tracking.MODEL_NAME}/{one}" for name, one in versions.items()}
     found = []
     for contents in config.priors.contents:
-        priors = {name: (models[contents], UNTRAINED[name]) for name in config.priors.others}
+        priors: dict[str, tuple[str, ...]] = {
+            name: (models[contents], UNTRAINED[name]) for name in config.priors.others
+        }
         priors |= {name: (models[name],) for name in config.priors.trained_on}
         for prior, overrides in priors.items():
             learns = prior != TRUTH and config.evaluation.tasks_per_home > 1
