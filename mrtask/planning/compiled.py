@@ -14,10 +14,9 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 F = TypeVar("F", bound=Callable[..., Any])
-Records = np.recarray[Any, Any]
-"""An array of records: what a kernel is given in one array costs less to compile, and lies closer together, than an
-array for each field."""
-
+Records = Any
+"""A ``np.recarray`` of a kernel's records, whose fields mypy does not know. What kernels are given in one array lies
+closer together, and costs less to compile, than an array for each field."""
 
 KERNEL: dict[str, Any] = {"_nrt": False, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Kernels pass tuples of two dozen arrays to small functions. With numba's reference counts (``_nrt``), which only
@@ -25,7 +24,7 @@ functions that allocate need, each such call touches every array's counter: meas
 slower. A kernel must therefore allocate nothing. Nor does it divide by zero, so that it need not look for it."""
 
 
-class _Part(JITCodeLibrary):  # type: ignore[misc]
+class _Part(JITCodeLibrary):
     """The code of a part: optimised and turned into machine code within kernels only, never by itself.
 
     numba would do so for each function, over again for what is inlined into it: 2/3 of all time spent on compiling.
@@ -52,25 +51,25 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
         """Python's environment is for functions that use Python objects."""
 
 
-class _KnownFlags(Flags):  # type: ignore[misc]
+class _KnownFlags(Flags):
     """Flags that no longer change. numba looks up what it knows of a function by them, for each operator in it."""
 
     def __init__(self, flags: Flags) -> None:
         super().__init__(flags)
-        self._hash = super().__hash__()
+        self._hash: int = super().__hash__()
 
     def __hash__(self) -> int:
         return self._hash
 
     def __eq__(self, other: object) -> bool:
-        return self is other or super().__eq__(other)
+        return self is other or bool(super().__eq__(other))
 
     def copy(self) -> Flags:
         """One that may change."""
         return Flags(self)
 
 
-class _PartFlags(Flags):  # type: ignore[misc]
+class _PartFlags(Flags):
     """The flags that a part is compiled with."""
 
     def copy(self) -> _KnownFlags:
@@ -81,7 +80,7 @@ class _PartFlags(Flags):  # type: ignore[misc]
 _known_flags: dict[Flags, _KnownFlags] = {}
 
 
-class _PartCompiler(Compiler):  # type: ignore[misc]
+class _PartCompiler(Compiler):
     """numba's compiler with a `_Part` for the code."""
 
     def __init__(self, *arguments: Any) -> None:
@@ -100,12 +99,12 @@ def inlined(function: F) -> F:
 
     On its own it would be compiled three times, once more for each of the ways in which numba lets others call it.
     """
-    return cast(F, register_jitable(pipeline_class=_PartCompiler, forceinline=True, **KERNEL)(function))
+    return register_jitable(pipeline_class=_PartCompiler, forceinline=True, **KERNEL)(function)
 
 
 def called(function: F) -> F:
     """As `inlined`, but called within the kernel: for what is long and seldom needed."""
-    return cast(F, register_jitable(pipeline_class=_PartCompiler, forceinline=False, **KERNEL)(function))
+    return register_jitable(pipeline_class=_PartCompiler, forceinline=False, **KERNEL)(function)
 
 
 @inlined
