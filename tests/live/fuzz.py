@@ -141,7 +141,8 @@ class Stream:
                 if failed:  # what fails too often is given up, but older sights stay older
                     for name in self.live.setup.task.propositions:
                         if (key := (event["container"], name)) in self.found:
-                            self.found[key] = (self.found[key][0], None)
+                            looked_s = event["time_s"] if event.get("gone") else -1.0
+                            self.found[key] = (max(self.found[key][0], looked_s), None)
 
     def find(self, event, name, present):
         key = event["container"], name
