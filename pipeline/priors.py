@@ -58,7 +58,7 @@ def run(config: Config, session: Session) -> None:
         raise UserError("evaluation.unsearched_share: priors are compared where nothing is known from the start")
     # Of the contents that no prior is learned from, for the priors that nothing is learned for: they need some model.
     trained_on = dict.fromkeys([*config.priors.trained_on, *(config.priors.contents if config.priors.others else ())])
-    versions = {
+    versions: dict[str, str] = {
         name: train.run(with_overrides(config, [f"homes.contents={name}"]), session).model_version
         for name in trained_on
     }
@@ -83,7 +83,9 @@ def arms_of(config: Config, versions: Mapping[str, str]) -> list[PriorArm]:
     models = {name: f"evaluation.model_uri=models:/{tracking.MODEL_NAME}/{one}" for name, one in versions.items()}
     found = []
     for contents in config.priors.contents:
-        priors = {name: (models[contents], UNTRAINED[name]) for name in config.priors.others}
+        priors: dict[str, tuple[str, ...]] = {
+            name: (models[contents], UNTRAINED[name]) for name in config.priors.others
+        }
         priors |= {name: (models[name],) for name in config.priors.trained_on}
         for prior, overrides in priors.items():
             learns = prior != TRUTH and config.evaluation.tasks_per_home > 1
@@ -102,7 +104,7 @@ def _read(shared: SharedRun, session: Session) -> dict[str, tuple[pd.DataFrame, 
         folder, file = Folder(config.output_dir) / BELIEFS, f"{slug(arm)}.parquet"
         content = folder.read(file)
         beliefs = None if content is None else pd.read_parquet(io.BytesIO(content))
-        planner = str(main_planner(rows["planner"].unique()))
+        planner = str(main_planner(sorted(set(rows["planner"]))))
         own = rows[(rows["planner"] == planner) & rows["home_id"].notna()]
         if beliefs is None or set(beliefs["trial_id"]) != set(own["trial_id"]):
             if context is None:
@@ -129,9 +131,12 @@ def _beliefs(own: pd.DataFrame, planner: str, episodes: Folder, context: Context
             str(of_home["home_id"].iloc[0]),
             tuple(
                 Task(
-                    row.trial_id, tuple(row.objects), searched_in(Trace.from_json(traces[row.trial_id])), int(row.seed)
+                    row["trial_id"],
+                    tuple(row["objects"]),
+                    searched_in(Trace.from_json(traces[row["trial_id"]])),
+                    int(row["seed"]),
                 )
-                for row in of_home.itertuples()
+                for row in of_home.to_dict("records")
             ),
         )
         for _, of_home in own.groupby(["size_class", "robots", "chain"])

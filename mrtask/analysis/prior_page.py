@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from mrtask.analysis.calibration import LOSSES
 from mrtask.analysis.columns import Entry, Row, Table
+from mrtask.analysis.exhibits import Picture
 from mrtask.analysis.findings import Findings
 from mrtask.analysis.prior_study import CONTENTS_NAMES, PRIOR_NAMES, TRUTH, ArmRows, PriorStudy
-from mrtask.analysis.sections import Picture
 from mrtask.analysis.statistics import BASELINES, EVERYTHING, Estimate
 from mrtask.analysis.style import (
     BLACK,
@@ -23,7 +23,6 @@ from mrtask.analysis.style import (
     NOTHING,
     ORANGE,
     counted,
-    data_uri,
     house_style,
     new_figure,
     planner_label,
@@ -52,9 +51,9 @@ def render_priors(arms: Sequence[ArmRows], tasks: int, experiment: str) -> str:
     if any(arm.adapts for arm in arms):
         sections.append(_section("adapting", "What adapting wins back", _tables(study, adapting_table)))
     if tasks > 1:
-        pictures = [Picture(data_uri(draw_tasks(study)), "Cost by task", TASKS_CAPTION)]
+        pictures = [Picture("tasks", "Cost by task", TASKS_CAPTION, draw_tasks(study))]
         sections.append(_section("tasks", "Task by task", _tables(study, task_table), pictures))
-    pictures = [Picture(data_uri(draw_calibration(study)), "Belief", CALIBRATION_CAPTION)]
+    pictures = [Picture("belief", "Belief", CALIBRATION_CAPTION, draw_calibration(study))]
     sections.append(_section("belief", "How good the belief is", _tables(study, belief_table), pictures))
     facts = [(f"{CONTENTS_NAMES[arm.contents]}: {arm.name}", " ".join(arm.overrides)) for arm in arms]
     body = render_fragment("ablation_arms", arms=facts)

@@ -57,7 +57,7 @@ class PriorStudy:
         for arm in arms:
             checked_episodes(arm.episodes)
         rows = pd.concat([arm.episodes for arm in arms])
-        planner = main_planner(rows["planner"].unique())
+        planner = main_planner(sorted(set(rows["planner"])))
         if planner is None:
             raise ValueError("there are no episodes; give those of at least one planner")
         home_of = {name: f"{cell}-{int(number) // tasks}" for name, cell, number in map(_parts, set(rows["trial_id"]))}

@@ -1,11 +1,10 @@
-"""The tables of the report for people: the paper's own, planner against reference, a sweep's variants.
+"""The tables of the report for people: the paper's own, a sweep's variants, how far from optimal.
 
-The table of all planners, which is also written for machines, is in `mrtask.analysis.result_table`.
+The table of all planners, which is also written for machines, is in `mrtask.analysis.result_table`; planner against
+reference in `mrtask.analysis.wins`.
 """
 
 from collections.abc import Mapping, Sequence
-
-import numpy as np
 
 from mrtask.analysis.columns import Column, Entry, Row, Table, interval_text, make_table
 from mrtask.analysis.episodes import Variant
@@ -18,9 +17,7 @@ from mrtask.analysis.statistics import (
     EVERYTHING,
     INFORMED_BASELINE,
     KNOWN,
-    REFERENCES,
     Cell,
-    Comparison,
     Estimate,
     Summary,
     cell_name,
@@ -33,23 +30,6 @@ ABOVE, BELOW, LEVEL = "▲", "▼", "≈"
 """The whole interval above or below the published value, or around it."""
 
 
-def p_value_text(value: float) -> str:
-    """Three digits."""
-    return NOTHING if not np.isfinite(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
-
-
-PAIR_COLUMNS = (
-    Column[Comparison](lambda pair: pair.improvement.n, ("trials", "paired")),
-    Column[Comparison](lambda pair: pair.wins, ("planner is", "sooner")),
-    Column[Comparison](lambda pair: pair.ties, ("planner is", "equal")),
-    Column[Comparison](lambda pair: pair.losses, ("planner is", "later")),
-    Column[Comparison](lambda pair: pair.only_planner, ("trials", "only it finished")),
-    Column[Comparison](lambda pair: pair.only_baseline, ("trials", "only the other")),
-    Column[Comparison](
-        lambda pair: pair.improvement, ("improvement", "95 %"), digits=1, unit=" %", higher_is_better=True
-    ),
-    Column[Comparison](lambda pair: pair.p_value, ("Wilcoxon", "p"), text=p_value_text),
-)
 REAL_WORLD_COLUMNS = (
     Column[RealWorldTrial](lambda trial: trial.myopic_m, ("navigation cost", "myopic"), digits=2, unit=" m"),
     Column[RealWorldTrial](lambda trial: trial.planner_m, ("navigation cost", "planner"), digits=2, unit=" m"),
@@ -121,21 +101,6 @@ def _gap_rows(summary: Summary, planner: str, cells: Sequence[Cell]) -> list[Row
         Row(f"Share closed of the gap between {INFORMED_BASELINE} and {KNOWN}", heading=True),
         Row(planner_label(planner), tuple(percent_entry(summary.gap(cell, planner)) for cell in cells)),
     ]
-
-
-def pair_table(summary: Summary, planner: str | None) -> Table | None:
-    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, test; None where there is none."""
-    cells = [*summary.cells, *((name, ALL_TEAMS) for name in summary.size_classes), EVERYTHING]
-    rows: list[str | tuple[str, Comparison]] = []
-    for reference in REFERENCES:
-        lines = [
-            ("all" if cell == EVERYTHING else cell_name(cell), summary.comparisons[cell, planner, reference])
-            for cell in cells
-            if planner is not None and (cell, planner, reference) in summary.comparisons
-        ]
-        if lines:
-            rows += [f"against {planner_label(reference)}", *lines]
-    return make_table(PAIR_COLUMNS, rows) if rows else None
 
 
 def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> Table | None:

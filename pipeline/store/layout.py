@@ -5,11 +5,12 @@ episodes/             the rows, `EpisodeRow`, as Parquet
 evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
-report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
+report/               index.html, table.csv, replays/, tables/, figures/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
 sensitivity/          index.html, written by pipeline.sensitivity
 homes/, realism/      what draw=true and pipeline.realism leave
+scenario/             the paper's apartments, where pipeline.scenario was given this folder: the report judges them
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
 runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_dir for each evaluation
@@ -33,6 +34,7 @@ REALISM = "realism"
 SENSITIVITY = "sensitivity"
 REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
+SCENARIO = "scenario"
 CELLS = "cells"
 RUNS = "runs"
 BELIEFS = "beliefs"
