@@ -28,6 +28,7 @@ from mrtask.homes.split import split_homes
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.existence import given_existence
+from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.rows import count_triples, vocabulary
 from mrtask.likelihood.table import LikelihoodTable, build_table
@@ -78,7 +79,7 @@ def main() -> None:
             print(f"  kind_sd {kind_sd:4} object_sd {object_sd:4} forget {forget:5}: {text}", flush=True)
 
 
-def learned(homes: Sequence[Home]):  # type: ignore[no-untyped-def]
+def learned(homes: Sequence[Home]) -> LikelihoodModel:
     triples = count_triples(homes)
     return fit(triples, triples.head(0), TrainingOptions(kind="similarity"))[0]
 

@@ -1,12 +1,14 @@
 """The page of `pipeline.priors`: what a wrong prior costs in a mission, and what adapting in the home wins back."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from mrtask.analysis.calibration import LOSSES
 from mrtask.analysis.columns import Entry, Row, Table
@@ -280,7 +282,7 @@ def draw_calibration(study: PriorStudy) -> Figure:
     return figure
 
 
-def _grid(study: PriorStudy) -> "tuple[Figure, np.ndarray]":
+def _grid(study: PriorStudy) -> tuple[Figure, NDArray[Any]]:
     width, height = PANEL_IN
     figure = new_figure(width * len(study.contents), 2 * height + 0.4)
     grid = figure.subplots(2, len(study.contents), squeeze=False, sharey="row")
@@ -290,7 +292,7 @@ def _grid(study: PriorStudy) -> "tuple[Figure, np.ndarray]":
     return figure, grid
 
 
-def _look(arm: ArmRows) -> dict[str, object]:
+def _look(arm: ArmRows) -> dict[str, Any]:
     return {
         "color": PRIOR_COLORS[arm.prior],
         "linestyle": "-" if arm.adapts else "--",
