@@ -29,7 +29,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV)
 	@rm -f $(STAMP)
 	@{ $(BIN)/python -m pip install --constraint constraints.txt --upgrade pip setuptools && \
-		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev,pipeline,s3]'; \
+		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev,pipeline,ros,s3,sim]'; \
 	} >$(LOG) 2>&1 || { tail -n 20 $(LOG) >&2; echo "error: the installation failed; the whole log is in $(LOG)" >&2; exit 1; }
 	@touch $(STAMP)
 

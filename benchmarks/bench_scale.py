@@ -96,7 +96,7 @@ def make_context(samples: int) -> Context:
         seed=0,
         trials=TrialOptions(),
         planner_options={PLANNER: {"samples": samples}},
-        provenance=Provenance(model_version="0", config_hash="", code_version=""),
+        provenance=Provenance(model_version="0", config_hashes={PLANNER: ""}, code_version=""),
     )
 
 

@@ -18,6 +18,7 @@ STAGES = {
     "realism": "compares generated homes with real ones",
     "housekeep": "measures models on where people put objects that they never saw",
     "ablation": "switches between the text of the paper and its authors' code, one by one",
+    "sensitivity": "draws what the planner saves against one factor of the experiment at a time",
     "optimality": "measures how far planners are from the best that any planner could do",
     "replay": "makes an episode to be watched, with the beliefs and the reasons",
 }
@@ -48,7 +49,7 @@ def main() -> None:
 def usage() -> str:
     """What the command can do."""
     described = STAGES | {name: text for name, (_, text) in TOOLS.items()}
-    lines = [f"  mrtask {name:10} {text}" for name, text in described.items()]
+    lines = [f"  mrtask {name:11} {text}" for name, text in described.items()]
     return "\n".join(["usage: mrtask COMMAND [KEY=VALUE ...]", *lines, "mrtask COMMAND --help says more"])
 
 

@@ -1,7 +1,9 @@
 """Runs every planner on every trial and writes one row per episode to ``<output_dir>/episodes`` (Parquet).
 
-Interrupted or run again with the same output_dir, it goes on where it stopped: finished rows are kept. A changed
-configuration is refused there (overwrite=true starts anew). dry_run=true says how long it would take.
+Interrupted or run again with the same output_dir, it goes on where it stopped: finished rows are kept. Asked there for
+more planners, team sizes, size classes or trials per cell, it adds their rows; asked for fewer, it takes none away. A
+configuration under which rows that are there would be others is refused (overwrite=true starts anew). dry_run=true says
+how long it would take.
 """
 
 import contextlib
@@ -28,7 +30,7 @@ from pipeline.store.folder import Folder, locked
 from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
 from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
-from pipeline.store.rows import EpisodeWriter, differences, read_episodes, read_table
+from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
 from pipeline.train import find_record
 
 
@@ -85,13 +87,14 @@ def finish(
         trained: the record of the model's training, where it was trained here.
 
     Raises:
-        UserError: the folder holds episodes of another configuration, or too many episodes fail.
+        UserError: the folder holds episodes that would be others now, or too many episodes fail.
     """
     began_s, started = time.monotonic(), datetime.now(UTC)
-    _check_identity(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, options.rerun)
+    identity = _join(folder, plan.identity)
+    writer = EpisodeWriter(folder / EPISODES, options.rerun, plan.identity.row_keys())
     missing = plan.missing(writer.finished())
-    if not missing and EvaluationManifest.find(folder, MANIFEST) is not None:
+    earlier = EvaluationManifest.find(folder, MANIFEST)
+    if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
         console.skipped(folder / EPISODES)
         return
@@ -102,7 +105,7 @@ def finish(
         reach = map_homes(plan.context, session.pool)
         run_episodes(plan, missing, options, session.pool, writer)
         manifest = _manifest(
-            plan, folder, trained, reach, Machine.here(session.pool.slots),
+            plan, identity, folder, trained, reach, Machine.here(session.pool.slots),
             started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id, sweep=session.cell.text,
         )  # fmt: skip
         tracking.log_metrics(run, _metrics(folder / EPISODES))
@@ -110,23 +113,30 @@ def finish(
     console.result(folder / EPISODES, time.monotonic() - began_s)
 
 
-def _check_identity(folder: Folder, identity: RunIdentity) -> None:
-    """Writes the identity of a run that begins; refuses to continue one of another.
+def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
+    """The identity of a run that begins, or of the one in the folder with what is asked for now; it is written there.
 
     Raises:
-        UserError: with all that is different.
+        UserError: rows that are there would come out otherwise now, with all that is different.
     """
     recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
         identity.write(folder, IDENTITY)
-        return
-    changed = list(differences(recorded.content(), identity.content()))
-    if changed:
+        return identity
+    if changed := recorded.conflicts(identity):
         listed = "\n".join(f"  {line}" for line in changed)
         raise UserError(
             f"{folder} holds episodes of another configuration:\n{listed}\n"
             "Give another output_dir, or overwrite=true to start anew there"
         )
+    joined, now = recorded.joined(identity), identity.row_keys()
+    if joined is not recorded:
+        before, after = len(recorded.row_keys()), len(joined.row_keys())
+        console.line(f"the run there grows from {before} to {after} episodes: {identity.asked[0].text}")
+        joined.write(folder, IDENTITY)
+    if more := len(joined.row_keys() - now):
+        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
+    return joined
 
 
 @contextlib.contextmanager
@@ -170,6 +180,7 @@ def _metrics(episodes: Folder) -> dict[str, float]:
 
 def _manifest(
     plan: EvaluationPlan,
+    identity: RunIdentity,
     folder: Folder,
     trained: TrainedModelRecord | None,
     reach: Reach,
@@ -186,16 +197,17 @@ def _manifest(
         experiment=plan.experiment,
         seed=plan.context.seed,
         output_dir=folder.location,
-        planners=plan.planners,
-        planner_options=plan.context.planner_options,
-        expected_episodes=len(plan.keys),
+        planners=tuple(identity.planner),
+        planner_options=identity.planner,
+        expected_episodes=len(identity.row_keys()),
         config=plan.config,
         model_version=made_by.model_version,
-        config_hash=made_by.config_hash,
+        config_hash=identity.config_hash(),
         code_version=made_by.code_version,
         model=trained,
         model_name=tracking.MODEL_NAME,
         homes=plan.homes,
+        true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,
         machine=machine,
         peak_memory_mb=round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,

@@ -6,7 +6,6 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.analysis.boun
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -40,19 +39,11 @@ def run(config: Config, session: Session) -> None:
     folder, options, began_s = Folder(config.output_dir), config.optimality, time.monotonic()
     with locked(folder, config.cache_dir):
         model = load_model(config, store)
-        plan = plan_evaluation(config, homes.run(config, session), model)
-        context = replace(
-            plan.context, planner_options={name: config.planner_options(name) for name in options.planners}
-        )
-        trials = dict.fromkeys((key.size_class, key.robots, key.number) for key in plan.keys)
-        keys = [
-            EpisodeKey(*trial, planner)
-            for trial in trials
-            if trial[2] < options.trials_per_cell
-            for planner in options.planners
-        ]
+        measured = config.evaluation.model_copy(update={"planners": options.planners})
+        plan = plan_evaluation(config.model_copy(update={"evaluation": measured}), homes.run(config, session), model)
+        keys = [key for key in plan.keys if key.number < options.trials_per_cell]
         sources = source_hash("mrtask/analysis/bounds")
-        hashed = content_hash([plan.identity.content(), context.planner_options, options.worlds, sources])
+        hashed = content_hash([plan.identity.content(), options.worlds, sources])
         console.headline(
             "optimality", f"{len(keys)} trials, each in {options.worlds} worlds, model version {model.version}"
         )
@@ -62,7 +53,7 @@ def run(config: Config, session: Session) -> None:
         if not missing:
             console.skipped(folder / OPTIMALITY)
             return
-        _assess_all(missing, context, options.worlds, session.pool, folder, rows, hashed)
+        _assess_all(missing, plan.context, options.worlds, session.pool, folder, rows, hashed)
         for cell in summarise_optimality(pd.DataFrame(rows)):
             console.line(_said(cell))
         console.result(folder / OPTIMALITY, time.monotonic() - began_s)

@@ -25,14 +25,14 @@ from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, suggest
-from pipeline.episodes.plan import EvaluationPlan, plan_evaluation
-from pipeline.episodes.worker import run_one
+from pipeline.episodes.plan import EvaluationPlan, covering, plan_evaluation
+from pipeline.episodes.worker import run_chain
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE, EpisodeRow
 from pipeline.store.folder import Folder
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, REPLAYS
 from pipeline.store.records import EvaluationManifest, RunIdentity
-from pipeline.store.rows import differences, read_episodes, read_traces
+from pipeline.store.rows import read_episodes, read_traces
 
 MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
 Row = Mapping[str, Any]
@@ -104,7 +104,7 @@ def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) ->
 
 
 def _recorded(config: Config, folder: Folder) -> Config:
-    """The configuration that the run had, with this machine's cache.
+    """The configuration that the run had, of all planners and trials that it grew by, with this machine's cache.
 
     Raises:
         UserError: there is none, or another version of the code wrote it.
@@ -116,7 +116,9 @@ def _recorded(config: Config, folder: Folder) -> Config:
         )
     here = {"output_dir": config.output_dir, "cache_dir": config.cache_dir, "draw": False, "overwrite": False}
     try:
-        return Config.model_validate({"replay": config.replay, **manifest.config} | here)
+        recorded = Config.model_validate({"replay": config.replay, **manifest.config} | here)
+        identity = RunIdentity.read(folder, IDENTITY)
+        return recorded if identity is None else covering(recorded, identity)
     except ValidationError as error:
         first = error.errors()[0]
         raise UserError(
@@ -132,8 +134,9 @@ def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
         UserError: it does not come out equal.
     """
     [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
+    [chain] = plan.chains([key])
     recorder = Recorder()
-    again = run_one(key, plan.context, recorder)
+    again = run_chain(chain[: chain.index(key) + 1], plan.context, recorder)[-1]
     unequal = [name for name in MUST_BE_EQUAL if not _equal(row[name], getattr(again, name))]
     if unequal:
         raise UserError(_why_unequal(row, again, unequal, plan, folder))
@@ -157,7 +160,7 @@ def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: Evaluati
         for name in unequal
     )
     recorded = RunIdentity.read(folder, IDENTITY)
-    changed = list(differences(recorded.content(), plan.identity.content())) if recorded else []
+    changed = recorded.conflicts(plan.identity) if recorded else []
     if any(line.startswith("code:") for line in changed):
         reason = f"the code has changed since: check out {row['code_version']} to replay it"
     elif changed:

@@ -23,8 +23,8 @@ from pipeline.base.config import Config, Tracking, UserError, content_hash
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
-from pipeline.store.layout import EPISODES, MANIFEST, OPTIMALITY, REPORT, REPORT_INDEX, REPORT_KEY, STAGES
-from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, StageTimes
+from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, OPTIMALITY, REPORT, REPORT_INDEX, REPORT_KEY, STAGES
+from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, RunIdentity, StageTimes
 from pipeline.store.rows import read_csv, read_episodes, read_traces
 from pipeline.store.version import source_hash
 
@@ -115,8 +115,22 @@ def collect(folder: Folder) -> Collected:
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
     [(_, manifest)] = of_run
-    facts_of_run = manifest.facts(StageTimes.find(folder, STAGES))
+    facts_of_run = manifest.facts(StageTimes.find(folder, STAGES)) | _asked(folder)
     return Collected(of_run, _episodes(folder, manifest), facts_of_run, read_csv(folder, OPTIMALITY))
+
+
+def _asked(folder: Folder) -> dict[str, Any]:
+    """What the run was asked for, bit by bit, which may be more than the manifest of its last end knows of."""
+    identity = RunIdentity.find(folder, IDENTITY)
+    if identity is None:
+        return {}
+    grown = [f"{one.since}: {one.text}" for one in identity.asked]
+    of_planners = {
+        "planner_options": dict(identity.planner),
+        "behind": dict(identity.behind),
+        "likelihood": {name: dict(identity.likelihood_of(name)) for name in identity.planner},
+    }
+    return of_planners | {"expected_episodes": len(identity.row_keys()), "grown": grown if len(grown) > 1 else []}
 
 
 def _finished(folders: list[Folder]) -> tuple[tuple[Folder, EvaluationManifest], ...]:

@@ -3,24 +3,32 @@
     python -m pipeline.scenario name=apartment1
     python -m pipeline.scenario map=lab.yaml containers=containers.yaml task="pillow and remote" robots=2
 
-Writes into output_dir (default outputs/scenario/<name>): plans.png, the first of the search planners beside the first
-baseline, and traces/<planner>.json. Every key, with its default: conf/scenario.yaml; planners' options are
-planner.pouct.samples=1000 and the like.
+What searches at random runs with several seeds; metres are means over them. Writes into output_dir (default
+outputs/scenario/<name>), of the first seed: replay.html, all planners side by side to be watched; plans.png, the first
+of the search planners beside the first baseline; traces/<planner>.json. Every key, with its default:
+conf/scenario.yaml; planners' options are planner.pouct.samples=1000 and the like.
 """
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import dist
+from statistics import fmean
 
 from mrtask.analysis.published import RealWorldTrial, load_published
+from mrtask.analysis.replay import Episode, Recorder, make_replay
+from mrtask.analysis.replay_page import render_replay
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.trajectories import draw_trial
 from mrtask.execution.episode import EpisodeResult, run_episode
-from mrtask.execution.scenario import Scenario, make_scenario
+from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
 from mrtask.execution.team import Team
+from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
 from mrtask.planning.planners import Role, planner_role, planners_in_order
+from mrtask.tasks.automaton import build_automaton
 from pipeline.app.given import GivenTrial, scenario_files
 from pipeline.app.tool import load_options, main, overrides
 from pipeline.base import console
@@ -54,17 +62,49 @@ def run(arguments: Sequence[str]) -> None:
         f"{len(home.containers)} containers, {home.area_m2:.0f} m2, {options.robots} robots from "
         "({:.1f}, {:.1f})".format(*scenario.home_map.cell_center(trial.start_cell))
     )
+    for text in likelihoods(scenario):
+        console.line(text)
+    recorders = {name: Recorder() for name in planners_in_order(options.planners)}
     results = {
-        name: run_episode(trial, scenario.home, scenario.home_map, scenario.likelihood, name, options.options_of(name))
-        for name in planners_in_order(options.planners)
+        name: [_run(scenario, name, options, number, None if number else recorder) for number in range(options.seeds)]
+        for name, recorder in recorders.items()
     }
     for text in table(results, _published(options.published)):
         console.line(text)
+    if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
+        console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
+        in_worlds = [replace(scenario, home=world) for world in worlds]
+        means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
+        for text in table(means, None):
+            console.line(text)
+    first = {name: of_seeds[0] for name, of_seeds in results.items()}
     (folder / "traces").mkdir(parents=True, exist_ok=True)
-    for name, result in results.items():
+    for name, result in first.items():
         (folder / "traces" / f"{name}.json").write_text(result.trace.to_json() + "\n", encoding="utf-8")
-    _draw(scenario, results).savefig(folder / "plans.png", dpi=150)  # type: ignore[attr-defined]
+    command = shlex.join(["python", "-m", "pipeline.scenario", *arguments])
+    (folder / "replay.html").write_text(_replay(scenario, first, recorders, options, command), encoding="utf-8")
+    _draw(scenario, first).savefig(folder / "plans.png", dpi=150)  # type: ignore[attr-defined]
     console.line(f"-> {console.shown(folder)}")
+
+
+def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, observe: Recorder | None) -> EpisodeResult:
+    """The episode of the seed of this number."""
+    trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
+    return run_episode(
+        trial, scenario.home, scenario.home_map, scenario.likelihood, name, options.options_of(name), observe=observe
+    )
+
+
+def likelihoods(scenario: Scenario) -> list[str]:
+    """What planners are told before they start: how likely each object is in each container; ``*`` marks the truth."""
+    objects = scenario.trial.objects
+    lines = [f"{'likelihood':<24}" + "".join(f"{name:>12}" for name in objects)]
+    for container, probs in zip(scenario.home.containers, scenario.likelihood, strict=True):
+        told = (
+            f"{'*' if name in container.objects else ''}{prob:.3f}" for name, prob in zip(objects, probs, strict=True)
+        )
+        lines.append(f"{container.id:<24}" + "".join(f"{text:>12}" for text in told))
+    return lines
 
 
 def metres(result: EpisodeResult) -> tuple[float, float]:
@@ -73,24 +113,54 @@ def metres(result: EpisodeResult) -> tuple[float, float]:
     return max(each), sum(each)
 
 
-def table(results: Mapping[str, EpisodeResult], published: RealWorldTrial | None) -> list[str]:
-    """The planners' metres, and the paper's where the scenario is one of its."""
-    base = results.get(BASELINE)
-    base_m = metres(base)[0] if base is not None and base.error is None else None
-    lines = [f"{'planner':<24}{'metres':>8}{'together':>10}{'decisions':>11}{'saved':>8}"]
-    for name, result in results.items():
-        if result.error is not None:
-            lines.append(f"{planner_label(name):<24}{'failed':>8}  {result.error}")
+def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTrial | None) -> list[str]:
+    """The planners' metres, means over seeds or worlds, and the paper's where the scenario is one of its."""
+    base_m = _mean_metres(results.get(BASELINE, ()))
+    lines = [f"{'planner':<24}{'metres':>8}{'least':>8}{'most':>8}{'together':>10}{'decisions':>11}{'saved':>8}"]
+    for name, of_seeds in results.items():
+        failed = next((result.error for result in of_seeds if result.error is not None), None)
+        mean_m = _mean_metres(of_seeds)
+        if mean_m is None:
+            lines.append(f"{planner_label(name):<24}{'failed':>8}  {failed}")
             continue
-        longest_m, together_m = metres(result)
-        saved = f"{1 - longest_m / base_m:8.0%}" if base_m and name != BASELINE else ""
-        lines.append(f"{planner_label(name):<24}{longest_m:8.2f}{together_m:10.2f}{result.decisions:11}{saved}")
+        each, together = zip(*map(metres, of_seeds), strict=True)
+        decisions = fmean(result.decisions for result in of_seeds)
+        saved = f"{1 - mean_m / base_m:8.0%}" if base_m and name != BASELINE else ""
+        lines.append(
+            f"{planner_label(name):<24}{mean_m:8.2f}{min(each):8.2f}{max(each):8.2f}{fmean(together):10.2f}"
+            f"{decisions:11.1f}{saved}"
+        )
     if published is not None:
         lines += [
             f"published, {published.name}, another geometry: myopic {published.myopic_m:.2f} m, the paper's planner "
             f"{published.planner_m:.2f} m, {1 - published.planner_m / published.myopic_m:.0%} saved"
         ]
     return lines
+
+
+def _mean_metres(of_seeds: Sequence[EpisodeResult]) -> float | None:
+    """None where a seed failed, or none ran."""
+    if not of_seeds or any(result.error is not None for result in of_seeds):
+        return None
+    return fmean(metres(result)[0] for result in of_seeds)
+
+
+def _replay(
+    scenario: Scenario,
+    results: Mapping[str, EpisodeResult],
+    recorders: Mapping[str, Recorder],
+    options: GivenTrial,
+    command: str,
+) -> str:
+    """The page of all planners side by side."""
+    trial = scenario.trial
+    episodes = [
+        Episode(name, result.status, result.cost_s, result.error, result.trace, recorders[name].decisions)
+        for name, result in results.items()
+    ]
+    automaton = build_automaton(trial.formula, trial.objects)
+    replay = make_replay(trial.trial_id, trial.size_class, trial.template, automaton, scenario.home, episodes)
+    return render_replay(replace(replay, task=options.task), command)
 
 
 def _published(name: str | None) -> RealWorldTrial | None:

@@ -131,6 +131,7 @@ def run_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
         ("command", manifest.get("command")),
         ("started", manifest.get("started")),
         ("wall time", None if wall_s is None else seconds(wall_s)),
+        ("grown, by what was asked for", "; then ".join(manifest.get("grown") or ())),
         ("stages", _text(stages)),
         ("seed", manifest.get("seed")),
         ("planners", _text(manifest.get("planners"))),

@@ -82,14 +82,16 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
 def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
     """Warns where the rows of one variant come from several configurations, code or model versions.
 
-    Cells of a sweep that make one variant together have a configuration each.
+    Each planner has a configuration of its own, and each of the cells of a sweep that make one variant together.
     """
     warnings = []
     in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
     for column in SINGLE_VALUED:
         if column in episodes.columns and not (in_sweep and column == "config_hash"):
-            values = sorted(episodes[column].dropna().astype(str).unique())
-            if len(values) > 1:
+            known = episodes.dropna(subset=column)
+            values = sorted(known[column].astype(str).unique())
+            of_planner = known.groupby("planner")[column].nunique() if column == "config_hash" else None
+            if len(values) > 1 and (of_planner is None or of_planner.max() > 1):
                 shown = ", ".join(values[:4]) + (", ..." if len(values) > 4 else "")
                 warnings.append(f"The episodes mix {len(values)} values of {column} ({shown}); compare with care.")
     return warnings

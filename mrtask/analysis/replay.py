@@ -277,9 +277,7 @@ def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str
 def _decision(observed: Observed, cost_s: float | None, names: Sequence[str]) -> Decision:
     problem, plan = observed.problem, observed.plan
     objects = problem.automaton.propositions
-    # Search planners name the robot of the root first, see `PlanInfo.root`.
-    first = next(iter(plan.assignments), -1) if plan.info.root else -1
-    rows = plan.info.root
+    first, rows = plan.info.root_robot, plan.info.root
     chosen = next((index for index, row in enumerate(rows) if row[0] == plan.assignments.get(first)), -1)
     listed = list(range(min(len(rows), MAX_CANDIDATES)))
     if chosen >= MAX_CANDIDATES:

@@ -72,8 +72,9 @@ def render_report(
         ValueError: a column is missing, or the episodes contradict each other.
     """
     data = collect_report_data(episodes, manifest, homes, optimality)
-    replays = replays_of(data)
-    data = replace(data, replays={trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays})
+    replays, unplayable = replays_of(data)
+    links = {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays}
+    data = replace(data, replays=links, unplayable=tuple(unplayable))
     table = result_table(data.summaries, data.published)
     return Report(
         render_page(data),
@@ -82,11 +83,14 @@ def render_report(
     )
 
 
-def replays_of(data: ReportData) -> dict[str, str]:
-    """Trial id -> page, for the notable trials whose home and traces are there. Reasons would take a run."""
+def replays_of(data: ReportData) -> tuple[dict[str, str], list[str]]:
+    """Trial id -> page, for the notable trials whose home and traces are there. Reasons would take a run.
+
+    Also why any of them cannot be played: their rows hold a formula, or name an object or container, that is none.
+    """
     if not {"trace", "template", "formula", "objects"} <= set(data.rows.columns):
-        return {}
-    pages = {}
+        return {}, []
+    pages, unplayable = {}, []
     for pick in notable_trials(data.rows, data.planner):
         home = data.homes.get(pick.home_id)
         rows = data.rows[(data.rows["trial_id"] == pick.trial_id) & data.rows["trace"].notna()]
@@ -95,17 +99,15 @@ def replays_of(data: ReportData) -> dict[str, str]:
             continue
         by_planner = {row["planner"]: row for row in rows.to_dict("records")}
         first = by_planner[shown[0]]
-        automaton = build_automaton(first["formula"], task_objects(first["objects"]))
-        replay = make_replay(
-            pick.trial_id,
-            first["size_class"],
-            first["template"],
-            automaton,
-            home,
-            [_episode(by_planner[name]) for name in shown],
-        )
+        try:
+            automaton = build_automaton(first["formula"], task_objects(first["objects"]))
+            played = [_episode(by_planner[name]) for name in shown]
+            replay = make_replay(pick.trial_id, first["size_class"], first["template"], automaton, home, played)
+        except ValueError as error:
+            unplayable.append(f"Trial {pick.trial_id} cannot be replayed: {error}")
+            continue
         pages[pick.trial_id] = render_replay(replay)
-    return pages
+    return pages, unplayable
 
 
 def _episode(row: Mapping[Any, Any]) -> Episode:

@@ -31,6 +31,8 @@ class ReportData:
     """How far planners are from optimal, where that was measured."""
     replays: Mapping[str, str] = field(default_factory=dict)
     """Trial id -> the page of its replay, of the notable trials."""
+    unplayable: tuple[str, ...] = ()
+    """Why some of the notable trials have none."""
 
     @property
     def shown(self) -> Variant:
@@ -66,7 +68,8 @@ class ReportData:
     def warnings(self) -> list[str]:
         """Everything that a reader should know before trusting the answer."""
         of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
-        return [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+        warnings = [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+        return [*warnings, *self.unplayable]
 
 
 def collect_report_data(

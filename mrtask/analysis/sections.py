@@ -12,7 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from mrtask.analysis import curves, facts, figures, tables
+from mrtask.analysis import curves, facts, figures, gap, tables
 from mrtask.analysis.columns import Table
 from mrtask.analysis.findings import Findings, find, main_planner
 from mrtask.analysis.replay import task_in_words
@@ -141,6 +141,27 @@ def optimality_section(data: ReportData) -> Markup | None:
     return render_fragment("optimality", table=tables.optimality_table(data.optimality))
 
 
+def gap_section(data: ReportData) -> Markup | None:
+    """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
+    ladder = gap.find_ladder(data.manifest, data.summary.planners)
+    if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
+        return None
+    return render_fragment(
+        "gap",
+        truth=planner_label(ladder.truth),
+        model=planner_label(ladder.model),
+        counted=data.manifest.get("true_likelihoods") == "counted",
+        certified=any(one.certified for one in gaps),
+        sentences=gap.gap_sentences(gaps),
+        picture=_picture(
+            gap.draw_gaps(gaps),
+            "What the gap is made of",
+            "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back.",
+        ),
+        table=gap.gap_table(gaps),
+    )
+
+
 def model_section(data: ReportData) -> Markup:
     """What the likelihood model is and how good."""
     return render_fragment("model", model=data.model)
@@ -182,6 +203,7 @@ SECTIONS: Sequence[Section] = (
     Section("trials", "Trials", "Trial by trial", trials_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
     Section("optimality", "Optimality", "How far from optimal", optimality_section),
+    Section("gap", "Gap", "What the gap is made of", gap_section),
     Section("model", "Likelihood model", "Likelihood model", model_section),
     Section("homes", "Homes", "Homes", homes_section),
     Section("run", "Run", "Run", run_section),

@@ -137,6 +137,7 @@ def _simulation(
         start_cell=trial.start_cell,
         known=known,
         known_containers=trial.known,
+        seed=trial.seed,
     )
 
 

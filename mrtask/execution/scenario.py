@@ -77,6 +77,31 @@ def prior(home: Home, task: ReadTask, model: LikelihoodModel | None) -> NDArray[
     return likelihood
 
 
+def drawn_worlds(scenario: Scenario, count: int, seed: int) -> list[Home]:
+    """The home with the task's objects where its likelihoods put them, every object somewhere a robot can get to.
+
+    What a planner saves on average over such worlds is its own doing; what it saves in one world is luck as well.
+
+    Raises:
+        InputError: an object has likelihood 0 everywhere.
+    """
+    objects, home = scenario.trial.objects, scenario.home
+    probs = np.where(scenario.home_map.reachable[:, None], scenario.likelihood, 0.0)
+    nowhere = [name for name, column in zip(objects, probs.T, strict=True) if not column.any()]
+    if nowhere:
+        raise InputError(f"no worlds can be drawn: {', '.join(nowhere)} can be nowhere by these likelihoods")
+    rng = np.random.default_rng(key_seed(seed, "worlds", scenario.trial.trial_id))
+    worlds = []
+    for _ in range(count):
+        there = np.zeros(probs.shape, dtype=bool)
+        while (missing := ~there.any(axis=0)).any():
+            there[:, missing] = rng.random((len(probs), int(missing.sum()))) < probs[:, missing]
+        held = [tuple(sorted(name for name, here in zip(objects, row, strict=True) if here)) for row in there]
+        containers = tuple(replace(one, objects=names) for one, names in zip(home.containers, held, strict=True))
+        worlds.append(replace(home, containers=containers))
+    return worlds
+
+
 def free_cell_near(home_map: HomeMap, point: Point, reach_m: float = START_REACH_M) -> tuple[int, int]:
     """The free cell nearest to a place in metres.
 

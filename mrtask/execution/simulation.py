@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
 from mrtask.execution.team import Team
-from mrtask.execution.team_state import TeamState, known_world
+from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
+from mrtask.execution.trials import key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.problem import Assignment, PlanningProblem
@@ -30,6 +32,7 @@ class Simulation:
         likelihood: [C, O] the prior that planners see.
         known: the team knows the truth from the start, and no container needs a search.
         known_containers: these need no search even so.
+        seed: of what searches detect where robots do not see all there is.
     """
 
     def __init__(
@@ -44,18 +47,17 @@ class Simulation:
         start_cell: tuple[int, int],
         known: bool = False,
         known_containers: Sequence[int] = (),
+        seed: int = 0,
     ) -> None:
-        self.truth = truth
+        self.truth, self._seed = truth, seed
         seen = {*known_containers, *(np.flatnonzero(home_map.reachable).tolist() if known else ())}
-        presence_prob, searched = known_world(
-            likelihood, home_map.reachable, {container: truth[container] for container in sorted(seen)}
-        )
+        sensor = team.spec.perception.sensor(automaton.propositions)
+        known_rows = {container: truth[container] for container in sorted(seen)}
         self.team = TeamState(
             [container.id for container in home.containers],
             home_map,
             automaton,
-            presence_prob,
-            searched,
+            prior_belief(likelihood, home_map.reachable, sensor, known_rows),
             spec=team.spec,
             starts=[Position.at(start_cell)] * team.robots,
         )
@@ -79,7 +81,7 @@ class Simulation:
     @property
     def searched(self) -> NDArray[np.bool_]:
         """[C] whose contents are known."""
-        return self.team.searched
+        return self.team.belief.searched
 
     def problem(self) -> PlanningProblem:
         """What a planner may know now."""
@@ -93,8 +95,8 @@ class Simulation:
         """
         self.team.assign(assignments)
         letters = len(self.team.letters)
-        self._settle()
-        self._decide_again = len(self.team.letters) > letters
+        failed = self._settle()
+        self._decide_again = failed or len(self.team.letters) > letters
 
     def advance(self) -> bool:
         """Lets time run until the task is done or a robot is free; False if nobody does anything any more."""
@@ -126,17 +128,32 @@ class Simulation:
                 self.team.arrived(robot)
         for robot in acted:
             if robot.mode == "search" and robot.until_s <= self.time_s + SAME_INSTANT_S:
-                self.team.search_ended(robot, self.truth[robot.place])
+                self.team.search_ended(robot, self.detected(robot.place))
         self._settle()
         return any(robot.mode == "free" for robot in acted)
 
-    def _settle(self) -> None:
-        """Starts and completes interactions until nothing more happens at this instant; the rest are free."""
+    def detected(self, container: int) -> NDArray[np.bool_]:
+        """[O] what the next search of the container detects: the same whoever searches, whenever."""
+        belief = self.team.belief
+        search = int(belief.searches[container])
+        return belief.sensor.detect(self.truth[container], key_seed(self._seed, "search", container, search))
+
+    def _settle(self) -> bool:
+        """Starts and completes interactions until nothing more happens at this instant; the rest are free.
+
+        True if any failed, because the object is not there.
+        """
+        failed = False
         while not self.accepted:
             due_s = self.time_s + SAME_INSTANT_S
             due = [robot for robot in self.team.robots if robot.mode == "interact" and robot.until_s <= due_s]
-            if due:
-                self.team.interactions_ended(due)
+            in_vain = [robot for robot in due if not self.truth[robot.place, robot.obj]]
+            if done := [robot for robot in due if self.truth[robot.place, robot.obj]]:
+                self.team.interactions_ended(done)
+            for robot in in_vain:
+                self.team.interaction_failed(robot, gone=True)
+                failed = True
             if not self.team.start_interactions():
                 break
         self.team.release()
+        return failed

@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass, field
 
+from mrtask.execution.perception import Perception
+
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """How fast a robot drives, searches and interacts."""
+    """How fast a robot drives, searches and interacts, and how well it sees."""
 
     speed_m_per_s: float = 1.0
     search_time_s: float = 0.0
     interact_time_s: float = 0.0
+    perception: Perception = field(default_factory=Perception)
 
     def __post_init__(self) -> None:
         if self.speed_m_per_s <= 0:

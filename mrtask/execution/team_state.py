@@ -10,13 +10,14 @@ Legend for array shapes: R robots, C containers, O task objects.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.execution.motion import Position, Route, plan_route
+from mrtask.execution.belief import Belief, Seen
+from mrtask.execution.letters import serving_order
+from mrtask.execution.motion import Position, plan_route
+from mrtask.execution.robot import LOST, Robot
 from mrtask.execution.team import RobotSpec
 from mrtask.execution.trace import Leg, Letter, Trace
 from mrtask.homes.home import Point
@@ -24,37 +25,10 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotStatus, safe
 from mrtask.tasks.automaton import Automaton
 
-LOST = "lost"
 _KINDS = {"free": "wait", "settling": "wait", LOST: "wait"}
 """The kind of leg that a mode is, where it is not the mode itself."""
 EARLY_S = 1e-6
 """Robots that arrive sooner than expected by more than this were faster than they are said to be."""
-MAX_FAILURES = 3
-"""After so many failed searches a container counts as searched, after so many failed interactions an object as gone."""
-
-
-@dataclass
-class Robot:
-    """One robot; ``obj`` is the object it interacts with."""
-
-    position: Position
-    place: int = -1
-    """The container the robot stands at."""
-    mode: str = "free"
-    """``free``, ``move``, ``search``, ``interact``, ``lost`` or, between arrival and the end of the instant,
-    ``settling``."""
-    assignment: Assignment = field(default=Assignment(WAIT))
-    since_s: float = 0.0
-    """Since when it does this."""
-    moved_s: float = 0.0
-    """Since when it drives its route."""
-    until_s: float = float("inf")
-    """When it is expected to end."""
-    route: Route | None = None
-    passed: tuple[Point, ...] = ()
-    """The way driven in this leg before the present route."""
-    obj: int = -1
-    legs: list[Leg] = field(default_factory=list)
 
 
 class TeamState:
@@ -65,8 +39,7 @@ class TeamState:
 
     Args:
         containers: [C] the containers' names.
-        presence_prob: [C, O] the probability that the object is in the container.
-        searched: [C] whose contents are known.
+        belief: from `prior_belief`; it is changed.
     """
 
     def __init__(
@@ -74,14 +47,13 @@ class TeamState:
         containers: Sequence[str],
         home_map: HomeMap,
         automaton: Automaton,
-        presence_prob: NDArray[np.float64],
-        searched: NDArray[np.bool_],
+        belief: Belief,
         *,
         spec: RobotSpec,
         starts: Sequence[Position],
     ) -> None:
         self.containers, self.automaton, self.spec = tuple(containers), automaton, spec
-        self.presence_prob, self.searched = presence_prob, searched
+        self.belief = belief
         self.use_map(home_map)
         self._safe = safe(automaton)
         self.time_s = 0.0
@@ -91,8 +63,6 @@ class TeamState:
         self.letters: list[Letter] = []
         self.news = False
         """Whether anything was learned or done since the last decision."""
-        self.failures: dict[tuple[int, int], int] = {}
-        """How often a container's search (object -1) or an interaction there failed."""
 
     @property
     def accepted(self) -> bool:
@@ -109,8 +79,8 @@ class TeamState:
         return PlanningProblem(
             automaton=self.automaton,
             state=self.state,
-            presence_prob=self.presence_prob.copy(),
-            searched=self.searched.copy(),
+            presence_prob=self.belief.presence_prob.copy(),
+            searched=self.belief.searched.copy(),
             travel_s=self._travel_s,
             robots=tuple(self._status(self.robots[index]) for index in self.active),
             search_time_s=self.spec.search_time_s,
@@ -149,40 +119,32 @@ class TeamState:
         if robot.route is not None:
             robot.position, robot.route = Position.at(robot.route.cells[-1]), None
         robot.place, robot.passed = robot.assignment.container, ()
-        if self.searched[robot.place]:
+        if self.belief.searched[robot.place]:
             robot.mode, robot.until_s = "settling", self.time_s
         else:
             robot.mode, robot.until_s = "search", self.time_s + self.spec.search_time_s
 
-    def search_ended(self, robot: Robot, seen: NDArray[np.bool_] | None) -> None:
-        """The robot's search is over: which objects [O] it saw; None where it could not search."""
+    def search_ended(self, robot: Robot, seen: Seen | None, fresh: NDArray[np.bool_] | None = None) -> None:
+        """The robot's search is over: what it saw, as of `Belief.learned`; None: it could not search."""
         if seen is None:
             self.failed(robot.place, -1)
-        elif not self.searched[robot.place]:
-            self.learned(robot.place, seen)
+        else:
+            self.learned(robot.place, seen, fresh)
         self.close_leg(robot, kind="search")
         robot.mode, robot.until_s = "settling", self.time_s
 
-    def learned(self, container: int, seen: NDArray[np.bool_]) -> None:
-        """All task objects [O] that are in the container."""
-        self.searched[container] = True
-        self.presence_prob[container] = seen
-        self.news = True
+    def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
+        """What a search of the container showed, as of `Belief.learned`, whoever searched. True if that is news."""
+        return self._noted(self.belief.learned(container, seen, fresh))
 
-    def noticed(self, container: int, obj: int, present: bool) -> None:
-        """One object is in the container or not; whether it was searched stays as it is."""
-        if self.presence_prob[container, obj] != float(present):
-            self.presence_prob[container, obj] = float(present)
-            self.news = True
+    def glimpsed(self, container: int, obj: int, seen: float) -> bool:
+        """One object was seen in passing, as of `Belief.glimpsed`. True if that is news."""
+        return self._noted(self.belief.glimpsed(container, obj, seen))
 
     def failed(self, container: int, obj: int) -> None:
-        """A search (object -1) or an interaction could not be made; what fails too often is given up."""
-        count = self.failures[container, obj] = self.failures.get((container, obj), 0) + 1
+        """A search (object -1) or an interaction could not be made."""
+        self.belief.failed(container, obj)
         self.news = True
-        if count >= MAX_FAILURES and obj >= 0:
-            self.noticed(container, obj, False)
-        elif count >= MAX_FAILURES:
-            self.learned(container, np.zeros(self.presence_prob.shape[1], dtype=bool))
 
     def interactions_ended(self, due: Sequence[Robot]) -> None:
         """Interactions that were completed in this instant; those that advance the task are letters of its word."""
@@ -201,7 +163,7 @@ class TeamState:
     def interaction_failed(self, robot: Robot, gone: bool) -> None:
         """The robot could not interact; ``gone``: because the object is not there."""
         if gone:
-            self.noticed(robot.place, robot.obj, False)
+            self._noted(self.belief.ruled_out(robot.place, robot.obj))
         else:
             self.failed(robot.place, robot.obj)
         self._end_interaction(robot)
@@ -216,7 +178,9 @@ class TeamState:
         return bool([robot for robot in standing if self._try_interaction(robot)])
 
     def release(self) -> None:
-        """The instant is over: robots with nothing left to do are free."""
+        """The instant is over: robots with nothing left to do are free, and what may have been missed is open again."""
+        if not self.accepted:
+            self.belief.look_again(self._lacking(), self.home_map.reachable)
         for robot in self.robots:
             if robot.mode == "settling":
                 robot.mode, robot.until_s = "free", float("inf")
@@ -294,9 +258,15 @@ class TeamState:
 
     def missing(self) -> list[str]:
         """Task objects that advance the task now but were found in no container that can be reached."""
-        found = ((self.presence_prob > 0) & self.searched[:, None]).any(axis=0)
-        lacking = np.flatnonzero(self.automaton.advancing[self.state] & ~found)
-        return [self.automaton.propositions[obj] for obj in lacking]
+        return [self.automaton.propositions[obj] for obj in np.flatnonzero(self._lacking())]
+
+    def _lacking(self) -> NDArray[np.bool_]:
+        """[O] the objects that `missing` names."""
+        return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found())
+
+    def _noted(self, news: bool) -> bool:
+        self.news |= news
+        return news
 
     def trace(self) -> Trace:
         """The record so far; actions under way are cut off at the present instant."""
@@ -372,11 +342,11 @@ class TeamState:
 
     def _try_interaction(self, robot: Robot) -> bool:
         """Starts the interaction the robot's assignment allows at its place now, if any."""
-        if not self.searched[robot.place]:
+        if not self.belief.searched[robot.place]:
             return False
         wanted = robot.assignment.interaction
         allowed = self._safe[self.state] if wanted == ANY_SAFE else self.automaton.advancing[self.state]
-        choices = np.flatnonzero(allowed & (self.presence_prob[robot.place] > 0))
+        choices = np.flatnonzero(allowed & (self.belief.presence_prob[robot.place] > 0))
         if wanted != ANY_SAFE:
             choices = choices[choices == wanted] if robot.mode == "settling" else choices[:0]
         if not len(choices):
@@ -393,34 +363,3 @@ class TeamState:
         if robot.assignment.interaction != ANY_SAFE:
             robot.mode, robot.until_s = "free", float("inf")
             robot.assignment = Assignment(WAIT, robot.assignment.interaction)
-
-
-def known_world(
-    likelihood: NDArray[np.float64], reachable: NDArray[np.bool_], known: Mapping[int, NDArray[np.bool_]]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The belief [C, O] and the searched containers [C] of a team that knows what some containers hold."""
-    presence_prob, searched = likelihood.astype(float).copy(), np.zeros(len(likelihood), dtype=bool)
-    for container, holds in known.items():
-        presence_prob[container], searched[container] = holds, True
-    presence_prob[~reachable] = 0.0
-    return presence_prob, searched
-
-
-def serving_order(automaton: Automaton, state: int, objects: frozenset[int]) -> list[int]:
-    """The order of one instant's interactions: all that advance the task are made, so that it ends nearest to done.
-
-    Only an interaction that does not advance the task when its turn comes is dropped. Of orders that end equally near,
-    the one that drops fewest; then the lower object index first.
-    """
-
-    @cache
-    def best(state: int, rest: frozenset[int]) -> tuple[int, tuple[int, ...]]:
-        orders = []
-        for obj in sorted(rest):
-            if automaton.advancing[state, obj]:
-                steps, order = best(int(automaton.transitions[state, obj]), rest - {obj})
-                orders.append((steps, (obj, *order)))
-        idle = (int(automaton.steps_to_accept[state]), ())
-        return min(orders, key=lambda option: (option[0], -len(option[1])), default=idle)
-
-    return list(best(state, objects)[1])

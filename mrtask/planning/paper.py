@@ -126,6 +126,7 @@ class PaperPouct:
             tree_nodes=int(search.tree.size[NODES]),
             value_s=mean_cost_s(search.tree, choose.edge(0)),
             root=root_statistics(search.tree, choose.assignment),
+            root_robot=int(search.tree.nodes[0].robot),
         )
         return Plan(_joint_action(problem, search, choose), info)
 

@@ -102,13 +102,14 @@ class Pouct:
             run=lambda count: kernel.run_samples(model, root, world, tree, greedy, search, rng, count),
             is_settled=lambda samples_left: is_settled(tree, deciders, samples_left),
         )
-        best = most_visited(tree, 0)
+        best, first = most_visited(tree, 0), int(tree.nodes[0].robot)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
             tree_nodes=int(tree.size[NODES]),
             value_s=mean_cost_s(tree, best),
-            root=root_statistics(tree, lambda action: _assignment(model, root, int(tree.nodes[0].robot), action)),
+            root=root_statistics(tree, lambda action: _assignment(model, root, first, action)),
+            root_robot=first,
         )
         return Plan(_joint_action(model, root, tree, greedy), info)
 

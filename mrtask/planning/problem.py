@@ -116,8 +116,8 @@ class PlanningProblem:
 class PlanInfo:
     """Why a plan was chosen. Search planners fill all of it, rules only ``planning_s``.
 
-    ``root`` lists the first decided robot's candidate actions, the most visited first: ``(assignment, visits, mean cost
-    in s, spread in s)``.
+    A search decides one robot after the other. ``root`` lists the candidate actions of the first, ``root_robot``, the
+    most visited first: ``(assignment, visits, mean cost in s, spread in s)``.
     """
 
     planning_s: float = 0.0
@@ -125,6 +125,8 @@ class PlanInfo:
     tree_nodes: int = 0
     value_s: float = float("nan")
     root: tuple[tuple[Assignment, int, float, float], ...] = ()
+    root_robot: int = -1
+    """-1 where nothing is listed."""
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,8 @@ class GivenTrial(Given):
     robots: int = Field(ge=1)
     start: Coordinates | None
     planners: tuple[str, ...] = Field(min_length=1)
+    seeds: int = Field(ge=1)
+    drawn_worlds: int = Field(ge=0)
     output_dir: Path
     published: str | None
 

@@ -30,7 +30,7 @@ from pipeline.base import interrupt
 from pipeline.base.config import Cluster
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
-FORMULA_KEY = "evaluation.formula"
+FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
 USER_ERROR_EXIT = 2
 
 
@@ -109,13 +109,16 @@ def _prepare_process(module_name: str) -> None:
 
 
 def _for_hydra(argument: str) -> str:
-    """An argument as Hydra's grammar has it: formulas in quotes, which the shell has taken away."""
+    """An argument as Hydra's grammar has it: formulas and tasks in quotes, which the shell has taken away."""
     if argument == "--dry-run":
         return "dry_run=true"
     key, equals, text = argument.partition("=")
-    if key.lstrip("+") != FORMULA_KEY or not equals or text == "null" or text.startswith(("'", '"')):
+    name = key.lstrip("+")
+    if name not in (FORMULA_KEY, TASK_KEY) or not equals or text == "null" or text.startswith(("'", '"')):
         return argument
-    # A comma is no part of a formula: it separates those of a sweep.
+    if name == TASK_KEY:
+        return f"{key}='{text.strip()}'"
+    # A comma is no part of a formula, as it is of words: it separates those of a sweep.
     return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
 
 

@@ -66,7 +66,9 @@ def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, 
     Raises:
         UserError: every mistake, with what is allowed.
     """
-    planners = OmegaConf.create({"planner": OmegaConf.load(CONF_DIR / "planner" / "default.yaml")})
+    planners = OmegaConf.create({})
+    if "planner" in model.model_fields:
+        planners.planner = OmegaConf.load(CONF_DIR / "planner" / "default.yaml")
     try:
         first, *others = (cast(DictConfig, OmegaConf.load(path)) for path in files)
         known = [{key: one[key] for key in map(str, one) if key in model.model_fields} for one in others]

@@ -25,6 +25,7 @@ from pydantic import (
 )
 
 from mrtask.errors import InputError
+from mrtask.execution import perception
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.tasks.templates import TEMPLATES
 
@@ -221,6 +222,44 @@ class Belief(_Section):
     forget: _Share
 
 
+_Source = Literal["model", "truth"]
+_Spread = Annotated[float, Field(ge=0)]
+
+
+class Likelihood(_Section):
+    """Which likelihoods planners are given, and how wrong on purpose, see `mrtask.likelihood.given`."""
+
+    source: _Source
+    uniform_mix: _Share
+    noise_sd: _Spread
+
+
+class Rates(_Section):
+    """How likely a search detects an object that is there, and one that is not."""
+
+    true_positive_prob: _Share
+    false_positive_prob: _Share
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        self.rates()
+        return self
+
+    def rates(self) -> perception.Rates:
+        """The same for the library; raises ValueError where a detection would say nothing."""
+        return perception.Rates(self.true_positive_prob, self.false_positive_prob)
+
+
+class Perception(Rates):
+    """How well robots see, and the types of objects that they see otherwise."""
+
+    objects: dict[str, Rates]
+
+    def perception(self) -> perception.Perception:
+        """The same for the library."""
+        return perception.Perception(self.rates(), {name: one.rates() for name, one in self.objects.items()})
+
+
 class Evaluation(_Section):
     """Which trials are run, by which planners, with which model."""
 
@@ -234,6 +273,7 @@ class Evaluation(_Section):
     templates: Annotated[tuple[str, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)]
     formula: str | None
     formula_file: LocalPath | None
+    task: Annotated[str, Field(min_length=1)] | None
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)
@@ -253,6 +293,12 @@ class Evaluation(_Section):
             raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
         return names
 
+    @model_validator(mode="after")
+    def _one_task(self) -> Self:
+        if self.task is not None and self.formula is not None:
+            raise ValueError("evaluation.task: give it or a formula, not both")
+        return self
+
     @field_validator("unsearched_share")
     @classmethod
     def _least_first(cls, share: tuple[float, float]) -> tuple[float, float]:
@@ -261,11 +307,20 @@ class Evaluation(_Section):
         return share
 
 
+class OtherLikelihood(_Section):
+    """What a planner variant is given that other planners are not; null: the same."""
+
+    source: _Source | None = None
+    uniform_mix: _Share | None = None
+    noise_sd: _Spread | None = None
+
+
 class PlannerVariant(_Section):
-    """A planner under another name: with some of its options changed, beside itself on the same trials."""
+    """A planner under another name: with other options or likelihoods, beside itself on the same trials."""
 
     planner: str = Field(min_length=1)
-    options: dict[str, Any]
+    options: dict[str, Any] = {}
+    likelihood: OtherLikelihood = OtherLikelihood()
 
 
 class Realism(_Section):
@@ -301,6 +356,27 @@ class Ablation(_Section):
     steps: tuple[Arm, ...]
     added_alone: bool
     taken_alone: bool
+
+
+class Factor(_Section):
+    """A key of the configuration and the values that it takes, one at a time."""
+
+    name: str = Field(min_length=1)
+    key: str = Field(min_length=1)
+    values: Annotated[tuple[float, ...], Field(min_length=2), AfterValidator(_distinct)]
+
+    @field_validator("values", mode="before")
+    @classmethod
+    def _numbers(cls, values: Any) -> Any:
+        if any(isinstance(value, bool) for value in values):
+            raise ValueError("give numbers: they are the axis of a curve")
+        return values
+
+
+class Sensitivity(_Section):
+    """What `pipeline.sensitivity` changes, one factor at a time."""
+
+    factors: Annotated[tuple[Factor, ...], Field(min_length=1)]
 
 
 class Optimality(_Section):
@@ -364,10 +440,13 @@ class Config(_Section):
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     belief: Belief
+    likelihood: Likelihood
+    perception: Perception
     evaluation: Evaluation
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
+    sensitivity: Sensitivity
     optimality: Optimality
     replay: Replay
     cluster: Cluster
@@ -383,6 +462,12 @@ class Config(_Section):
         """The planner that a variant is one of; a planner's own name where it is none."""
         variant = self.planner_variants.get(name)
         return name if variant is None else variant.planner
+
+    def likelihood_of(self, name: str) -> Likelihood:
+        """The likelihoods that a planner or variant is given."""
+        variant = self.planner_variants.get(name)
+        other = variant.likelihood.model_dump(exclude_none=True) if variant else {}
+        return self.likelihood.model_copy(update=other)
 
 
 def load(composed: DictConfig) -> Config:
@@ -400,6 +485,11 @@ def load(composed: DictConfig) -> Config:
     except ValidationError as error:
         raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
+    if config.belief.adapt and not config.perception.perception().sees_all:
+        raise UserError(
+            "belief.adapt=true: learns from what searches showed as from the truth, so it needs perception that does "
+            "not err; give belief.adapt=false or leave perception at its defaults"
+        )
     return config
 
 

@@ -3,25 +3,40 @@
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 from mrtask.execution.team import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
+from mrtask.likelihood.given import GivenOptions
+from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
+from mrtask.likelihood.truth import catalogue_truth, counted_truth
+from mrtask.tasks.words import read_task
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import Config, Evaluation, EvaluationHomes, UserError, content_hash
+from pipeline.base.config import (
+    Config,
+    Evaluation,
+    EvaluationHomes,
+    OtherLikelihood,
+    PlannerVariant,
+    UserError,
+    content_hash,
+)
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, formula_objects
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
-from pipeline.store.records import EvaluatedHomes, RunIdentity
+from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
 from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
 
 RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
 """The library packages whose code decides what an episode's row says."""
+WHICH_ROWS = {"planners", "size_classes", "robots", "trials_per_cell"}
+"""Keys of ``evaluation`` that decide which rows there are, and nothing of what any of them says."""
 WITHOUT_EFFECT = {"homes", "formula_file", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
 """Keys of ``evaluation`` that do not change what a row says, or are recorded by what they led to."""
 
@@ -35,6 +50,8 @@ class EvaluationPlan:
     identity: RunIdentity
     homes: EvaluatedHomes
     experiment: str
+    contents_are_drawn: bool
+    """Whether the homes' contents were drawn from the catalogue; then their true likelihoods are known."""
     config: Mapping[str, Any]
     """The whole configuration as plain data, to be recorded."""
 
@@ -59,9 +76,11 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuses what can be refused before any work: the formula and the files."""
+    """Refuses what can be refused before any work: the formula or the task and the files."""
     if options.formula is not None:
         formula_objects(options.formula)
+    if options.task is not None:
+        read_task(options.task, None, ())
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 
@@ -75,8 +94,13 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     options = config.evaluation
     unseen, homes = _unseen_homes(options.homes, config.homes.source, home_set, model)
     size_classes = _size_classes(options.size_classes, homes)
-    identity = _identity(config, model, unseen)
-    objects = formula_objects(options.formula) if options.formula is not None else ()
+    identity = _identity(config, model, unseen, size_classes)
+    formula, objects = task_of(options, unseen)
+    given = {name: GivenOptions(**config.likelihood_of(name).model_dump()) for name in options.planners}
+    drawn = config.homes.source == "generated" and config.homes.contents == "procthor" and not options.homes.files
+    truth: LikelihoodModel | None = None
+    if any(one.source == "truth" for one in given.values()):
+        truth = catalogue_truth() if drawn else counted_truth(unseen)
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
@@ -84,18 +108,27 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
-            formula=options.formula,
+            formula=formula,
             formula_objects=objects,
-            robot=RobotSpec(options.speed_m_per_s, options.search_time_s, options.interact_time_s),
+            robot=RobotSpec(
+                options.speed_m_per_s,
+                options.search_time_s,
+                options.interact_time_s,
+                config.perception.perception(),
+            ),
             tasks_per_home=options.tasks_per_home,
             unsearched_share=options.unsearched_share,
             cost=options.cost,
         ),
         planner_options={name: config.planner_options(name) for name in options.planners},
         planners_behind={name: config.planner_behind(name) for name in options.planners},
+        truth=build_table(truth, unseen, objects) if truth is not None else None,
+        given=given,
         home_order=options.homes.order,
         adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
-        provenance=Provenance(model.version, identity.config_hash, code_version()),
+        provenance=Provenance(
+            model.version, {name: identity.config_hash(name) for name in options.planners}, code_version()
+        ),
     )
     return EvaluationPlan(
         keys=episode_keys(options, size_classes),
@@ -103,8 +136,18 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
         identity=identity,
         homes=homes,
         experiment=config.experiment,
+        contents_are_drawn=drawn,
         config=config.model_dump(mode="json"),
     )
+
+
+def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
+    """The formula that is asked for, in its own terms or in words about these homes, and its objects; or none."""
+    if options.task is not None:
+        names = {name for home in homes for container in home.containers for name in container.objects}
+        read = read_task(options.task, names, ())
+        return read.formula, read.propositions
+    return options.formula, formula_objects(options.formula) if options.formula is not None else ()
 
 
 def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
@@ -155,18 +198,59 @@ def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...
     return size_classes
 
 
-def _identity(config: Config, model: RegisteredModel, evaluated: Sequence[Home]) -> RunIdentity:
+def _identity(
+    config: Config, model: RegisteredModel, evaluated: Sequence[Home], size_classes: Sequence[str]
+) -> RunIdentity:
     options = config.evaluation
     ids = [home.id for home in evaluated]
-    variants = {name: {"variant_of": one.planner} for name, one in config.planner_variants.items()}
+    asked = options.model_dump(include=WHICH_ROWS) | {"size_classes": size_classes}
     return RunIdentity(
         seed=config.seed,
         map=config.map,
         homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
-        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT)
-        | {"home_order": options.homes.order, "belief": config.belief.model_dump() if config.belief.adapt else None},
+        evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT | WHICH_ROWS)
+        | {
+            "home_order": options.homes.order,
+            "belief": config.belief.model_dump() if config.belief.adapt else None,
+            "likelihood": config.likelihood.model_dump(),
+            "perception": config.perception.model_dump(),
+        },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
-        planner={name: config.planner_options(name) | variants.get(name, {}) for name in options.planners},
+        planner={name: config.planner_options(name) for name in options.planners},
+        behind={name: config.planner_behind(name) for name in options.planners},
+        likelihood={
+            name: config.planner_variants[name].likelihood.model_dump() if name in config.planner_variants else {}
+            for name in options.planners
+        },
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
+        asked=(Asked(since=datetime.now(UTC).isoformat(timespec="seconds"), **asked),),
+    )
+
+
+def covering(config: Config, identity: RunIdentity) -> Config:
+    """The configuration of a whole run, from that of one of the commands that it grew by."""
+    own = {name: dict(one) for name, one in identity.planner.items() if identity.behind[name] == name}
+    variants = {
+        name: PlannerVariant(
+            planner=identity.behind[name],
+            options=dict(one),
+            likelihood=OtherLikelihood.model_validate(identity.likelihood[name]),
+        )
+        for name, one in identity.planner.items()
+        if name not in own
+    }
+    asked = identity.asked
+    rows = {
+        "planners": tuple(identity.planner),
+        "size_classes": tuple(dict.fromkeys(name for one in asked for name in one.size_classes)),
+        "robots": tuple(dict.fromkeys(team for one in asked for team in one.robots)),
+        "trials_per_cell": max(one.trials_per_cell for one in asked),
+    }
+    return config.model_copy(
+        update={
+            "planner": config.planner | {name.rsplit(".", 1)[-1]: one for name, one in own.items()},
+            "planner_variants": variants,
+            "evaluation": config.evaluation.model_copy(update=rows),
+        }
     )

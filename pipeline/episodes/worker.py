@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from mrtask.analysis.bounds.assess import assess
 from mrtask.execution.episode import Observer, run_episode, warm_up
-from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial, trial_id
+from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
+from mrtask.likelihood.given import GivenOptions, given_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
@@ -61,10 +62,11 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What made a row; each of its fields is a column."""
+    """What made a row."""
 
     model_version: str
-    config_hash: str
+    config_hashes: Mapping[str, str]
+    """By planner."""
     code_version: str
 
 
@@ -81,6 +83,10 @@ class Context:
     provenance: Provenance
     planners_behind: Mapping[str, str] = field(default_factory=dict)
     """The planner that each name stands for; a name that is not here stands for itself."""
+    truth: LikelihoodTable | None = None
+    """The true likelihoods, where a planner is given them."""
+    given: Mapping[str, GivenOptions] = field(default_factory=dict)
+    """Which likelihoods each planner is given; one that is not here, the model's."""
     home_order: str = "shuffled"
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
@@ -107,23 +113,25 @@ def map_home(number: int, context: Context) -> MappedHome:
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
 
 
-def run_chain(keys: tuple[EpisodeKey, ...], context: Context) -> tuple[EpisodeRow, ...]:
-    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before."""
+def run_chain(
+    keys: tuple[EpisodeKey, ...], context: Context, observe: Observer | None = None
+) -> tuple[EpisodeRow, ...]:
+    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before.
+
+    ``observe`` is called at each decision of the last.
+    """
     seen: list[Sighting] = []
     rows = []
     for task, key in enumerate(keys):
-        row, sightings = _run(key, task, seen, context)
+        row, sightings = _run(key, task, seen, context, observe if key is keys[-1] else None)
         rows.append(row)
         seen += sightings
     return tuple(rows)
 
 
-def run_one(key: EpisodeKey, context: Context, observe: Observer | None = None) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet.
-
-    ``observe`` is called at each of its decisions.
-    """
-    return _run(key, 0, (), context, observe)[0]
+def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
+    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet."""
+    return _run(key, 0, (), context)[0]
 
 
 def _run(
@@ -134,7 +142,7 @@ def _run(
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial.objects, task, seen, context)
+    likelihood = _likelihood(home, trial, key.planner, context, task, seen)
     home_map = bench.map_of(trial.home_id)
     result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
@@ -161,14 +169,19 @@ def _run(
 
 
 def _likelihood(
-    home: Home, objects: tuple[str, ...], task: int, seen: Sequence[Sighting], context: Context
+    home: Home, trial: Trial, planner: str, context: Context, task: int = 0, seen: Sequence[Sighting] = ()
 ) -> NDArray[np.float64]:
-    """``P(object in container)``, ``[C, O]``: the model's, corrected by what was seen where beliefs adapt."""
+    """``P(object in container)``, ``[C, O]``, as a planner is given it: corrected by what was seen if beliefs adapt."""
+    options = context.given.get(planner, GivenOptions())
+    table = context.table if options.source == "model" else context.truth
+    if table is None:
+        raise ValueError(f"{planner} is to be given the true likelihoods, which this evaluation has not got")
+    known = tuple(dict.fromkeys([*trial.objects, *(sighting.object for sighting in seen)]))
+    kinds, seed = home.container_kinds(), key_seed(trial.seed, "likelihood")
+    prior = given_likelihood(table.matrix(home, known), kinds, options, seed)
     if context.adapt is None or not seen:
-        return context.table.matrix(home, objects)
-    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
-    prior = context.table.matrix(home, known)
-    return adapted(prior, known, home.container_kinds(), seen, task, context.adapt)[:, : len(objects)]
+        return prior[:, : len(trial.objects)]
+    return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(trial.objects)]
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
@@ -176,7 +189,7 @@ def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, An
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = context.table.matrix(home, trial.objects)
+    likelihood = _likelihood(home, trial, key.planner, context)
     return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
 
 
@@ -184,8 +197,8 @@ def warm(key: EpisodeKey, context: Context) -> None:
     """Compiles what the planner needs."""
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
-    likelihood = context.table.matrix(bench.homes[trial.home_id], trial.objects)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
+    likelihood = _likelihood(home, trial, key.planner, context)
     warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 
@@ -200,7 +213,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
         status=status,
         error=error,
         model_version=made_by.model_version,
-        config_hash=made_by.config_hash,
+        config_hash=made_by.config_hashes[key.planner],
         code_version=made_by.code_version,
     )
 

@@ -8,10 +8,11 @@ stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
+sensitivity/          index.html, written by pipeline.sensitivity
 homes/, realism/      what draw=true and pipeline.realism leave
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
-runs/<arm>-<key>/     of an ablation: one output_dir for each evaluation
+runs/<arm>-<key>/     of an ablation or a sensitivity page: one output_dir for each evaluation
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -28,6 +29,7 @@ REPORT_KEY = "manifest.json"
 OPTIMALITY = "optimality.csv"
 HOMES = "homes"
 REALISM = "realism"
+SENSITIVITY = "sensitivity"
 REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
 CELLS = "cells"
@@ -41,7 +43,7 @@ def forget_episodes(folder: Folder) -> None:
 
 
 def runs(folder: Folder, name: str, key: str) -> Folder:
-    """The folder of one evaluation of an ablation."""
+    """The folder of one of the evaluations that arms share."""
     return folder / RUNS / f"{name}-{key}"
 
 

@@ -1,17 +1,20 @@
 """What one stage writes and another reads: one typed, versioned model per file, used by writer and reader alike."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 import psutil
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
 from pipeline.base.config import Map, UserError, content_hash
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HomeFiles
+from pipeline.store.rows import Key, differences
 
 JsonObject = Mapping[str, JsonValue]
 """A part of the configuration, kept as it was."""
@@ -133,31 +136,102 @@ class TrainedModelRecord(Record):
         return self.model_dump(mode="json", exclude={"version", "model_version"}) | {"version": self.model_version}
 
 
+def _listed(words: Iterable[str]) -> str:
+    """``a, b and c``."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+class Asked(_Part):
+    """The episodes that a command asked for: each of these planners on each of these trials."""
+
+    since: str
+    """When they were first asked for."""
+    planners: tuple[str, ...]
+    size_classes: tuple[str, ...]
+    robots: tuple[int, ...]
+    trials_per_cell: int
+
+    def row_keys(self) -> set[Key]:
+        """The keys of their rows."""
+        trials = product(self.size_classes, self.robots, range(self.trials_per_cell))
+        return {(trial_id(*trial), planner) for trial in trials for planner in self.planners}
+
+    @property
+    def text(self) -> str:
+        """``100 trials a cell, small and large, 1 and 2 robots, by greedy and pouct``."""
+        sizes, teams, planners = (_listed(map(str, of)) for of in (self.size_classes, self.robots, self.planners))
+        plural = "" if self.robots == (1,) else "s"
+        return f"{self.trials_per_cell} trials a cell, {sizes}, {teams} robot{plural}, by {planners}"
+
+
 class RunIdentity(Record):
-    """Everything that decides what the rows say; rows of different identities are never mixed in one folder."""
+    """Everything that decides what the rows say; rows of different identities are never mixed in one folder.
+
+    A run grows by what was not asked of it before. That changes none of the rows that are there: a trial is decided by
+    its cell and number, and a planner's episode by the trial and the planner's own options.
+    """
 
     ADVICE = "give another output_dir, or overwrite=true to start anew there"
+    BY_PLANNER: ClassVar[tuple[str, ...]] = ("planner", "behind", "likelihood")
+    """The parts that each concern one planner."""
 
+    version: Literal[2] = 2  # type: ignore[assignment]
     seed: int
     map: Map
     homes: JsonObject
     evaluation: JsonObject
+    """What decides the trials and is the same for all of them."""
     evaluated_homes: str
     """A hash of their ids."""
     planner: Mapping[str, JsonObject]
     """The options of each planner."""
+    behind: Mapping[str, str]
+    """The planner that each name stands for."""
+    likelihood: Mapping[str, JsonObject]
+    """What each planner is given that not all are."""
     model_version: str
     code: str
     """A hash of the sources that decide a row."""
+    asked: tuple[Asked, ...]
+    """What was asked for, each with something that was not before."""
 
-    def content(self) -> dict[str, Any]:
-        """All of it but the record's version, as plain data."""
-        return self.model_dump(mode="json", exclude={"version"})
+    def content(self, planners: Collection[str] | None = None) -> dict[str, Any]:
+        """What decides the rows of these planners, of all by default, as plain data."""
+        content = self.model_dump(mode="json", exclude={"version", "asked"})
+        for part in self.BY_PLANNER:
+            content[part] = {name: one for name, one in content[part].items() if planners is None or name in planners}
+        return content
 
-    @property
-    def config_hash(self) -> str:
-        """What the rows carry of it."""
-        return content_hash(self.content())
+    def config_hash(self, planner: str | None = None) -> str:
+        """What a planner's rows carry of it; without one, the hash of all."""
+        return content_hash(self.content(None if planner is None else [planner]))
+
+    def likelihood_of(self, planner: str) -> JsonObject:
+        """Which likelihoods a planner was given."""
+        common: Any = self.evaluation["likelihood"]
+        return {**common, **{key: one for key, one in self.likelihood[planner].items() if one is not None}}
+
+    def conflicts(self, other: Self) -> list[str]:
+        """What would be different in rows that both have: ``key: was ..., now ...``; empty where they can be joined."""
+        both = self.planner.keys() & other.planner.keys()
+        return list(differences(self.content(both), other.content(both)))
+
+    def row_keys(self) -> set[Key]:
+        """The keys of all rows that were asked for."""
+        return {key for one in self.asked for key in one.row_keys()}
+
+    def joined(self, other: Self) -> Self:
+        """This one, grown by what the other asks for besides; itself where that is nothing."""
+        known, more = self.row_keys(), []
+        for one in other.asked:
+            if not one.row_keys() <= known:
+                more.append(one)
+                known |= one.row_keys()
+        if not more:
+            return self
+        parts = {name: {**getattr(self, name), **getattr(other, name)} for name in self.BY_PLANNER}
+        return self.model_copy(update={**parts, "asked": (*self.asked, *more)})
 
 
 class EvaluatedHomes(_Part):
@@ -227,6 +301,10 @@ class EvaluationManifest(Record):
     """None for a model that was trained elsewhere."""
     model_name: str
     homes: EvaluatedHomes
+    true_likelihoods: Literal["drawn", "counted"] | None = None
+    """Whether the true likelihoods are those by which the homes' contents were drawn, or the counts of these homes.
+
+    None in manifests of earlier versions."""
     reach: Reach
     machine: Machine
     peak_memory_mb: float | None

@@ -36,15 +36,18 @@ Key = tuple[str, str]
 
 
 class EpisodeWriter:
-    """The one writer of a dataset. Rows of a status in ``rerun`` are dropped at the opening, to be run again."""
+    """The one writer of a dataset.
 
-    def __init__(self, folder: Folder, rerun: Collection[str] = ()) -> None:
+    Rows of a status in ``rerun`` are dropped at the opening, to be run again: those of ``asked``, all by default.
+    """
+
+    def __init__(self, folder: Folder, rerun: Collection[str] = (), asked: Collection[Key] | None = None) -> None:
         self._folder = folder
         self._pending: list[EpisodeRow] = []
         self._flushed_s = time.monotonic()
         self._small = _finish_merges(folder)
         if rerun:
-            self._drop(rerun)
+            self._drop(rerun, asked)
 
     def finished(self) -> set[Key]:
         """The keys of the rows that are there."""
@@ -83,10 +86,14 @@ class EpisodeWriter:
         name = self._replace(self._small, table.sort_by(SORTED_BY))
         self._small = [] if table.num_rows >= FULL_PART_ROWS else [name]
 
-    def _drop(self, statuses: Collection[str]) -> None:
+    def _drop(self, statuses: Collection[str], asked: Collection[Key] | None) -> None:
         for name in _part_names(self._folder):
             table = _read_part(self._folder, name)
-            keep = [status not in statuses for status in table["status"].to_pylist()]
+            rows = zip(*(table[column].to_pylist() for column in ("trial_id", "planner", "status")), strict=True)
+            keep = [
+                status not in statuses or (asked is not None and (trial, planner) not in asked)
+                for trial, planner, status in rows
+            ]
             if not all(keep):
                 new = self._replace([name], table.filter(pa.array(keep)))
                 self._small = [new if small == name else small for small in self._small]

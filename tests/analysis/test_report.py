@@ -288,6 +288,17 @@ def test_every_trial_can_be_looked_up(tmp_path, two_room_home, blank_pictures):
     assert "small-1-001" in text and ">failed<" in text
 
 
+def test_a_row_that_cannot_be_replayed_is_named_and_the_others_are_replayed(tmp_path, two_room_home, blank_pictures):
+    trace = Trace((2.0, 1.0), ((Leg("move", 0, 1, None, None, ((2, 1), (1, 1))),),), ()).to_json()
+    frame = small(["learned_myopic", "pouct"]).assign(trace=trace, home_id=two_room_home.id)
+    frame.loc[frame["trial_id"] == "small-1-002", "formula"] = "F (Mug"
+    page = page_of(tmp_path, frame, {}, {two_room_home.id: two_room_home})
+    assert "Trial small-1-002 cannot be replayed" in page.words and "this '(' is never closed" in page.words
+    notable = {pick.trial_id for pick in notable_trials(frame, "pouct")}
+    assert "small-1-002" in notable
+    assert {path.stem for path in (tmp_path / "replays").iterdir()} == notable - {"small-1-002"}
+
+
 def test_the_notable_trials_by_hand():
     costs = {"pouct": [5.0, 9.0, None, 4.0], "learned_myopic": [6.0, 7.0, 7.0, 4.0]}
     frame = rows("small", 1, costs).assign(home_id="h")

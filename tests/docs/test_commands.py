@@ -24,6 +24,7 @@ from mrtask.cli import STAGES
 from mrtask.suite.score import Request
 from pipeline.app.main import CONF_DIR, _for_hydra
 from pipeline.base.config import load
+from simulators.pyrobosim.__main__ import read_options
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "datasets" / "README.md"])
@@ -153,6 +154,8 @@ def _check(command: list[str], folder: Path) -> None:
     elif program == "python" and arguments[0] == "-m" and arguments[1].startswith("pipeline."):
         assert arguments[1].removeprefix("pipeline.") in STAGES
         _check_overrides(arguments[2:])
+    elif program == "python" and arguments[:2] == ["-m", "simulators.pyrobosim"]:
+        read_options(arguments[2:])
     elif program == "python" and arguments[0].endswith(".py"):
         assert (ROOT / arguments[0]).is_file(), arguments[0]
         flags = {one for one in arguments if one.startswith("--")}

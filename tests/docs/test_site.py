@@ -40,6 +40,6 @@ def test_links_of_pages_beside_the_site_lead_somewhere(page: str) -> None:
 def test_files_and_tests_that_pages_name_exist() -> None:
     for path in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
         for name in re.findall(
-            r"`((?:mrtask|pipeline|tests|conf|examples|benchmarks|docs)/[\w./-]+)`", path.read_text()
+            r"`((?:mrtask|pipeline|tests|conf|examples|benchmarks|docs|simulators)/[\w./-]+)`", path.read_text()
         ):
             assert (ROOT / name).exists(), f"{path.name}: {name}"

@@ -3,9 +3,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from mrtask.execution.letters import serving_order
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.team import RobotSpec, Team
-from mrtask.execution.team_state import serving_order
 from mrtask.planning.problem import WAIT, Assignment
 from mrtask.tasks.automaton import build_automaton
 

@@ -7,8 +7,10 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from pipeline.ablation import AUTHORS, PAPER, lay_out, protocols
+from mrtask.analysis.ablation import COMPARED
+from pipeline.ablation import AUTHORS, PAPER, WHAT, protocols
 from pipeline.app.main import CONF_DIR
+from pipeline.arms import SharedRun, lay_out
 from pipeline.base.config import Arm, Config, UserError, load
 from tests.pipeline.harness import Cli, Workspace
 
@@ -28,6 +30,10 @@ def make(*overrides: str) -> Config:
         return load(compose("config", list(overrides)))
 
 
+def laid_out(config: Config) -> list[SharedRun]:
+    return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT)
+
+
 def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_planners() -> None:
     config = make(SWITCHES, STEPS)
     names = [arm.name for arm in protocols(config.ablation)]
@@ -40,12 +46,12 @@ def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_pla
         "authors - part known",
         "step: first",
     ]
-    whole, part = lay_out(config)
-    assert [arm.name for arm, _ in whole.arms] == [PAPER, "paper + patient", "authors - part known", "step: first"]
-    assert [arm.name for arm, _ in part.arms] == ["paper + part known", AUTHORS, "authors - patient"]
+    whole, part = laid_out(config)
+    assert [arm for arm, _ in whole.arms] == [PAPER, "paper + patient", "authors - part known", "step: first"]
+    assert [arm for arm, _ in part.arms] == ["paper + part known", AUTHORS, "authors - patient"]
     # Four planners, one more for the patient baseline and one for the step.
     assert len(whole.variants) == 6 and len(part.variants) == 5
-    by_arm = {arm.name: chosen for arm, chosen in whole.arms}
+    by_arm = dict(whole.arms)
     assert by_arm["paper + patient"]["pouct"] == by_arm[PAPER]["pouct"] == "pouct:paper"
     assert by_arm["paper + patient"]["nonlearned_myopic"] == by_arm["authors - part known"]["nonlearned_myopic"]
     assert by_arm["paper + patient"]["nonlearned_myopic"] != by_arm[PAPER]["nonlearned_myopic"]
@@ -54,6 +60,24 @@ def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_pla
     assert configured.evaluation.planners == tuple(part.variants)
     assert configured.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
     assert configured.output_dir != whole.configured().output_dir
+
+
+def test_an_ablation_that_is_asked_for_more_goes_on_in_the_same_folders() -> None:
+    folders = [one.configured().output_dir for one in laid_out(make(SWITCHES))]
+    more = make(SWITCHES, STEPS, "evaluation.trials_per_cell=200", "evaluation.robots=[1,2,3,4]")
+    assert [one.configured().output_dir for one in laid_out(more)] == folders
+    for other in ("seed=1", "planner.pouct.samples=10", "belief.adapt=true", "likelihood.uniform_mix=0.5"):
+        assert not set(folders) & {one.configured().output_dir for one in laid_out(make(SWITCHES, other))}, other
+
+
+def test_arms_can_differ_in_what_planners_are_given() -> None:
+    config = make()
+    arms = [("as it is", ()), ("noisy", ("likelihood.noise_sd=2",)), ("same", ("likelihood.noise_sd=0",))]
+    [shared] = lay_out(config, arms, ("pouct",), "test")
+    assert list(shared.variants) == ["pouct:as-it-is", "pouct:noisy"]
+    configured = shared.configured()
+    assert configured.likelihood.noise_sd == 0
+    assert [configured.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
 
 
 def test_all_switches_together_are_the_preset_authors() -> None:
@@ -69,10 +93,10 @@ def test_mistakes_in_arms_are_refused_before_any_work() -> None:
     config = make(SWITCHES)
     wrong = Arm(name="wrong", overrides=("evaluation.unsearched_share=[2,3]",))
     with pytest.raises(UserError, match=r"ablation, arm paper \+ wrong: evaluation.unsearched_share"):
-        lay_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": (wrong,)})}))
+        laid_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": (wrong,)})}))
     twice = tuple(Arm(name=name, overrides=(PATIENT,)) for name in ("a b", "a-b"))
     with pytest.raises(UserError, match="two arms are called"):
-        lay_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": twice})}))
+        laid_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": twice})}))
 
 
 def test_an_ablation_runs_each_planner_once_and_shows_every_arm(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def context(generated_homes: list[Home], tmp_path_factory: pytest.TempPathFactor
         seed=0,
         trials=TrialOptions(tasks_per_home=TASKS),
         planner_options={"learned_myopic": {}},
-        provenance=Provenance("1", "", ""),
+        provenance=Provenance("1", {"learned_myopic": ""}, ""),
         adapt=AdaptOptions(),
     )
 
@@ -81,7 +81,7 @@ def test_a_belief_that_does_not_adapt_runs_each_task_by_itself(context: Context)
 
 def test_what_is_run_in_one_go(context: Context) -> None:
     every = keys(*range(6))
-    plan = EvaluationPlan(every, context, None, None, "", {})  # type: ignore[arg-type]
+    plan = EvaluationPlan(every, context, None, None, "", True, {})  # type: ignore[arg-type]
     assert plan.chains(every) == [every[:3], every[3:]]
     assert plan.chains(every[4:5]) == [every[3:]], "a chain with a gap is run from its beginning"
     off = replace(plan, context=replace(context, adapt=None))
@@ -106,6 +106,9 @@ def test_an_evaluation_with_tasks_in_one_home_goes_on_where_it_stopped(workspace
     again = cli("evaluate", *options, planner, cwd=workspace.path)
     assert again.code == 0, again.err
     pd.testing.assert_frame_equal(read(folder), rows)
+    # The second task in a home began with what the first had shown: it is replayed from there, and so comes out equal.
+    replayed = cli("replay", "trial_id=medium-1-001", "output_dir=outputs/belief", cwd=workspace.path)
+    assert replayed.code == 0, replayed.err
 
 
 def read(folder: Path) -> pd.DataFrame:

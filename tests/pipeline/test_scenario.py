@@ -1,11 +1,17 @@
 """The paper's apartments as scenarios: quick planners on the shipped maps, and what the table says."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mrtask.analysis.published import load_published
+from mrtask.errors import InputError
+from mrtask.execution.scenario import drawn_worlds, make_scenario
+from mrtask.execution.team import Team
+from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import read_ros_map
 from pipeline import scenario
 from pipeline.app.given import SCENARIOS, scenario_names
@@ -22,9 +28,9 @@ def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> int:
     return 0
 
 
-@pytest.mark.parametrize("number", [1, 2])
-def test_the_apartments_hold_what_the_paper_says(number: int) -> None:
-    folder = SCENARIOS / f"apartment{number}"
+@pytest.mark.parametrize(("name", "number"), [("apartment1", 1), ("apartment2", 2), ("apartment2_study", 2)])
+def test_the_apartments_hold_what_the_paper_says(name: str, number: int) -> None:
+    folder = SCENARIOS / name
     home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")
     (trial,) = [one for one in load_published().real_world if one.name == f"apartment {number}"]
     assert {container.id for container in home.containers} == set(trial.containers)
@@ -39,9 +45,41 @@ def test_a_scenario_prints_metres_beside_the_published_ones(
     assert run(monkeypatch, tmp_path, "name=apartment2", *quick) == 0
     said = capsys.readouterr().out
     assert "(((!remote & !tv) U laptop) | ((!remote & !tv) U wallet)) & (!tv U remote) & F tv" in said
+    assert [line.split() for line in said.splitlines() if line.split()[:1] == ["bed"]] == [
+        ["bed", "*0.100", "0.100", "0.100", "0.100"]
+    ]
     assert "myopic 21.88 m, the paper's planner 8.95 m, 59% saved" in said
     assert (tmp_path / "outputs/scenario/apartment2/plans.png").stat().st_size > 10_000
     assert (tmp_path / "outputs/scenario/apartment2/traces/learned_myopic.json").is_file()
+    page = (tmp_path / "outputs/scenario/apartment2/replay.html").read_text()
+    assert "<h1>laptop or wallet, then remote, then tv</h1>" in page
+    assert all(label in page for label in ("learned_myopic", "nonlearned_myopic", "pipeline.scenario"))
+
+
+def test_worlds_are_drawn_by_the_likelihoods_with_every_object_somewhere() -> None:
+    folder = SCENARIOS / "apartment2"
+    home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")
+    scenario = make_scenario("drawn", home, build_map(home), None, "laptop and tv", Team(2))
+    likelihood = np.array([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.0, 0.0], [0.0, 0.2]])
+    worlds = drawn_worlds(replace(scenario, likelihood=likelihood), 2000, seed=1)
+    held = np.array(
+        [[[name in one.objects for name in ("laptop", "tv")] for one in world.containers] for world in worlds]
+    )
+    assert held.any(axis=1).all()
+    somewhere = 1 - np.prod(1 - likelihood, axis=0)
+    assert np.abs(held.mean(axis=0) - likelihood / somewhere).max() < 0.04
+    with pytest.raises(InputError, match="tv can be nowhere"):
+        drawn_worlds(replace(scenario, likelihood=likelihood * [1.0, 0.0]), 1, seed=1)
+
+
+def test_drawn_worlds_are_told_beside_the_given_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quick = ("likelihood=uniform", "planners=[nonlearned_myopic]", "drawn_worlds=3", "seeds=1")
+    assert run(monkeypatch, tmp_path, "name=apartment2", *quick) == 0
+    told = capsys.readouterr().out.split("over 3 worlds drawn from these likelihoods")
+    assert len(told) == 2
+    assert "nonlearned_myopic" in told[1]
 
 
 @pytest.mark.parametrize(
@@ -68,4 +106,4 @@ def test_mistakes_are_told(
 
 
 def test_every_scenario_is_named() -> None:
-    assert scenario_names() == ["apartment1", "apartment2"]
+    assert scenario_names() == ["apartment1", "apartment2", "apartment2_study"]

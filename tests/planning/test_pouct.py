@@ -81,12 +81,27 @@ def test_equal_problem_options_and_seed_give_an_equal_plan(name):
 
 def test_plan_info_says_why():
     problem = random_problem(0, template="and2", robots=2, containers=6)
-    info = make_planner("pouct", {"samples": 2000}).plan(problem, seed=1).info
+    plan = make_planner("pouct", {"samples": 2000}).plan(problem, seed=1)
+    info = plan.info
+    assert plan.assignments[info.root_robot] == info.root[0][0]
     assert 1000 < info.samples <= 2000
     assert 1 < info.tree_nodes <= info.samples + 1
     assert sum(visits for _, visits, _, _ in info.root) == info.samples
     assert info.root[0][1] == max(visits for _, visits, _, _ in info.root)
     assert info.value_s == pytest.approx(info.root[0][2])
+
+
+@pytest.mark.parametrize("name", ["pouct", "pouct_paper"])
+def test_plan_info_names_the_robot_whose_actions_it_lists(name):
+    first = []
+    for seed in range(10):
+        problem = random_problem(seed, template="and2", robots=3, containers=6)
+        busy = replace(problem.robots[0], free=False, place=0, remaining_s=1.0)
+        problem = replace(problem, robots=(busy, *problem.robots[1:]))
+        plan = make_planner(name, {"samples": 200}).plan(problem, seed)
+        assert plan.assignments[plan.info.root_robot] in [row[0] for row in plan.info.root]
+        first.append(plan.info.root_robot)
+    assert 0 not in first
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])

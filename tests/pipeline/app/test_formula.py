@@ -1,4 +1,4 @@
-"""A formula as a person types it: in the shell, inside make's ARGS, in a file."""
+"""A formula as a person types it: in the shell, inside make's ARGS, in a file; and a task in words."""
 
 import subprocess
 from pathlib import Path
@@ -7,8 +7,11 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from mrtask.homes.home import Home
+from mrtask.tasks.words import WordsError
 from pipeline.app.main import CONF_DIR, _for_hydra
 from pipeline.base.config import Config, UserError, load
+from pipeline.episodes.plan import check, task_of
 
 ROOT = Path(__file__).resolve().parents[3]
 FORMULA = "F Mug & (!Laptop U Book)"
@@ -70,3 +73,22 @@ def test_a_formula_comes_from_a_file(tmp_path: Path) -> None:
         make(f"evaluation.formula_file={path}", "evaluation.formula=F Mug")
     with pytest.raises(UserError, match=r"evaluation\.formula_file=.*nowhere: cannot be read"):
         make(f"evaluation.formula_file={tmp_path / 'nowhere'}")
+
+
+@pytest.mark.parametrize("given", ["laptop or book, then remote", "'laptop or book, then remote'"])
+def test_a_task_in_words_is_one_whatever_its_commas(given: str) -> None:
+    assert make(f"evaluation.task={given}").evaluation.task == "laptop or book, then remote"
+    with pytest.raises(UserError, match="not both"):
+        make(f"evaluation.task={given}", "evaluation.formula=F Mug")
+
+
+def test_words_name_the_objects_of_the_homes(two_room_home: Home) -> None:
+    options = make("evaluation.task=the egg, then pillow").evaluation
+    check(options)
+    assert task_of(options, [two_room_home]) == ("(!Pillow U Egg) & F Pillow", ("Egg", "Pillow"))
+    with pytest.raises(WordsError, match="'unicorn' is not an object here"):
+        task_of(make("evaluation.task=unicorn").evaluation, [two_room_home])
+    with pytest.raises(WordsError, match="could mean different things"):
+        check(make("evaluation.task=egg and pillow or book").evaluation)
+    assert task_of(make().evaluation, [two_room_home]) == (None, ())
+    assert task_of(make("evaluation.formula=F Unicorn").evaluation, [two_room_home]) == ("F Unicorn", ("Unicorn",))

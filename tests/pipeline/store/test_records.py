@@ -11,6 +11,7 @@ from pipeline.base.config import Map, UserError
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.records import (
+    Asked,
     EvaluatedHomes,
     EvaluationManifest,
     Machine,
@@ -31,12 +32,32 @@ IDENTITY = RunIdentity(
     seed=3,
     map=Map(resolution_m=0.05, robot_radius_m=0.2, ways="shortest"),
     homes={"source": "generated", "train": 12},
-    evaluation={"robots": [1, 2], "formula": None},
+    evaluation={"cost": "makespan", "formula": None},
     evaluated_homes="h",
     planner={"pouct": {"samples": 20, "time_limit_s": math.inf}, "greedy": {}},
+    behind={"pouct": "pouct", "greedy": "greedy"},
+    likelihood={"pouct": {}, "greedy": {"uniform_mix": 0.5}},
     model_version="3",
     code="c",
+    asked=(
+        Asked(since="monday", planners=("pouct", "greedy"), size_classes=("small",), robots=(1, 2), trials_per_cell=4),
+    ),
 )
+
+
+def asking(planners: tuple[str, ...], robots: tuple[int, ...], trials_per_cell: int) -> RunIdentity:
+    """The same run, asked for other episodes."""
+    asked = Asked(
+        since="tuesday", planners=planners, size_classes=("small",), robots=robots, trials_per_cell=trials_per_cell
+    )
+    return IDENTITY.model_copy(
+        update={
+            "asked": (asked,),
+            "planner": {name: IDENTITY.planner.get(name, {}) for name in planners},
+            "behind": {name: name for name in planners},
+            "likelihood": {name: IDENTITY.likelihood.get(name, {}) for name in planners},
+        }
+    )
 
 
 def manifest(model: TrainedModelRecord | None = MODEL, **changes: Any) -> EvaluationManifest:
@@ -45,6 +66,7 @@ def manifest(model: TrainedModelRecord | None = MODEL, **changes: Any) -> Evalua
         read_from=MapFiles(maps=(Path("/a.yaml"),), containers=(Path("/c.yaml"),), worlds=2, seed=0),
     )  # fmt: skip
     content: dict[str, Any] = {
+        "true_likelihoods": "counted",
         "experiment": "smoke", "seed": 3, "output_dir": "/run", "planners": ("greedy",), "planner_options": {},
         "expected_episodes": 8, "config": {"seed": 3}, "model_version": "3", "config_hash": "c", "code_version": "v",
         "model": model, "model_name": "likelihood", "homes": homes, "reach": Reach(containers=40, reachable=30),
@@ -67,7 +89,7 @@ def test_a_record_is_read_as_it_was_written(record: Record, tmp_path: Path) -> N
 def test_files_of_another_version_or_with_other_keys_are_refused_with_what_to_do(tmp_path: Path) -> None:
     content = json.loads(IDENTITY.to_json())
     folder = Folder(str(tmp_path))
-    for change in ({"version": 2}, {"seed": None}, {"colour": "red"}):
+    for change in ({"version": 1}, {"seed": None}, {"colour": "red"}):
         folder.write("run.json", json.dumps(content | change).encode())
         with pytest.raises(UserError, match=r"run\.json cannot be read \(.*overwrite=true to start anew there"):
             RunIdentity.read(folder, "run.json")
@@ -77,13 +99,37 @@ def test_files_of_another_version_or_with_other_keys_are_refused_with_what_to_do
         RunIdentity.read(folder, "run.json")
 
 
-def test_the_hash_in_the_rows_follows_everything_but_the_records_version() -> None:
-    changed = [
-        IDENTITY.model_copy(update=update)
-        for update in ({"seed": 4}, {"planner": {}}, {"model_version": "4"}, {"code": "d"}, {"evaluated_homes": "i"})
-    ]
-    assert len({IDENTITY.config_hash, *(one.config_hash for one in changed)}) == 6
-    assert IDENTITY.model_copy(update={"version": 2}).config_hash == IDENTITY.config_hash
+def test_the_hash_in_a_planners_rows_follows_all_that_decides_them_and_nothing_else() -> None:
+    updates = (
+        {"seed": 4}, {"planner": {"pouct": {"samples": 30}}}, {"behind": {"pouct": "greedy"}}, {"model_version": "4"},
+        {"code": "d"}, {"evaluated_homes": "i"},
+    )  # fmt: skip
+    changed = [IDENTITY.model_copy(update=update).config_hash("pouct") for update in updates]
+    assert len({IDENTITY.config_hash("pouct"), IDENTITY.config_hash("greedy"), *changed}) == 8
+    other = IDENTITY.model_copy(update={"planner": {**IDENTITY.planner, "greedy": {"later_weight": 1}}})
+    assert other.config_hash("pouct") == IDENTITY.config_hash("pouct")
+    assert other.config_hash() != IDENTITY.config_hash()
+    assert asking(("pouct",), (5,), 9).config_hash("pouct") == IDENTITY.config_hash("pouct")
+
+
+def test_a_run_grows_by_what_was_not_asked_of_it() -> None:
+    assert IDENTITY.joined(asking(("greedy",), (2,), 3)) is IDENTITY
+    grown = IDENTITY.joined(asking(("known",), (2, 3), 5))
+    assert [one.since for one in grown.asked] == ["monday", "tuesday"]
+    assert list(grown.planner) == list(grown.behind) == ["pouct", "greedy", "known"]
+    assert len(grown.row_keys()) == 2 * 2 * 4 + 1 * 2 * 5
+    assert ("small-3-004", "known") in grown.row_keys() and ("small-3-000", "pouct") not in grown.row_keys()
+    assert grown.joined(asking(("known", "greedy"), (2,), 4)) is grown, "asked for in two parts"
+
+
+def test_only_what_both_runs_have_can_contradict() -> None:
+    assert IDENTITY.conflicts(asking(("known", "greedy"), (7,), 2)) == []
+    other = asking(("pouct", "known"), (1,), 2)
+    changed = other.model_copy(update={"planner": {**other.planner, "pouct": {"samples": 30}}, "seed": 4})
+    assert changed.conflicts(IDENTITY) == [
+        "planner.pouct.samples: was 30, now 20", "planner.pouct.time_limit_s: was null, now Infinity",
+        "seed: was 4, now 3",
+    ]  # fmt: skip
 
 
 def test_the_report_gets_plain_facts() -> None:

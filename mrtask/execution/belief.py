@@ -1,0 +1,144 @@
+"""What a team thinks is where: the likelihoods, corrected by what its searches and its interactions showed.
+
+Planners are told what is likely in containers that are open to search, and 0 or 1 in those that were searched: an
+object counts as found where it was detected and is believed to be. Where robots see all there is, that is the truth.
+Where they err, a search may have missed an object; then a container is opened again, with the posterior probabilities,
+as soon as a needed object is at least as likely there as in every container that is open.
+
+Legend for array shapes: C containers, O task objects.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.execution.perception import Sensor
+
+Seen = NDArray[np.float64] | NDArray[np.bool_]
+"""[O] what a search showed, as of `Sensor.posterior`."""
+DETECTED = 0.5
+"""A detection of at least this confidence counts as one."""
+BELIEVED_PROB = 0.5
+"""From this probability on an object that was detected counts as found: a robot may go and interact with it."""
+GIVEN_UP_ODDS = 1e-6
+"""Where searches have lowered the odds of an object to this share of what they were, it is taken not to be there."""
+MAX_SEARCHES = 100
+"""Nor is a container searched for it more often."""
+MAX_FAILURES = 3
+"""After so many failed searches a container counts as searched, after so many failed interactions an object as gone."""
+
+
+class Belief:
+    """The belief about one task's objects.
+
+    Args:
+        presence_prob: [C, O] the prior probability that the object is in the container; 0 or 1 where it is searched.
+        searched: [C] whose contents are known.
+        sensor: how well searches see.
+    """
+
+    def __init__(self, presence_prob: NDArray[np.float64], searched: NDArray[np.bool_], sensor: Sensor) -> None:
+        self.presence_prob, self.searched, self.sensor = presence_prob, searched, sensor
+        """What planners are told: [C, O] and [C]."""
+        self._prior = np.where(searched[:, None], presence_prob, sensor.prior(presence_prob))
+        self.posterior = self._prior.copy()
+        """[C, O] what is thought in fact; the same but where searches err."""
+        self.detected = (presence_prob == 1.0) & searched[:, None]
+        """[C, O] whether the object was ever detected there, and not ruled out since."""
+        self.searches = np.zeros(len(searched), dtype=np.int64)
+        """[C] how often each was searched."""
+        self.failures: dict[tuple[int, int], int] = {}
+        """How often a container's search (object -1) or an interaction there failed."""
+
+    def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
+        """A search of the container is over. True if that is news.
+
+        Args:
+            seen: [O] the detections, as of `Sensor.posterior`.
+            fresh: [O] of which objects it tells anything; None: of all.
+        """
+        told = np.ones(len(seen), dtype=bool) if fresh is None else fresh
+        before = self.posterior[container]
+        after = np.where(told, self.sensor.posterior(before, seen.astype(float)), before)
+        self.detected[container] |= told & (seen >= DETECTED)
+        self.searches[container] += 1
+        believed = self.detected[container] & (after >= BELIEVED_PROB)
+        prior = self._prior[container]
+        unlikely = after * (1.0 - prior) <= GIVEN_UP_ODDS * prior * (1.0 - after)
+        given_up = ~believed & (unlikely | (self.searches[container] >= MAX_SEARCHES))
+        return self._now_searched(container, np.where(given_up, 0.0, after))
+
+    def gave_up(self, container: int) -> bool:
+        """Nobody can search the container: nothing is expected of it any more. True if that is news."""
+        self.detected[container] = False
+        return self._now_searched(container, np.zeros(self.presence_prob.shape[1]))
+
+    def glimpsed(self, container: int, obj: int, seen: float) -> bool:
+        """One object was seen in passing, or not seen: ``seen`` as of `Sensor.posterior`. True if that is news."""
+        row = self.posterior[container]
+        self.detected[container, obj] |= seen >= DETECTED
+        return self._set(container, obj, float(self.sensor.posterior(row, np.full(len(row), seen))[obj]))
+
+    def ruled_out(self, container: int, obj: int) -> bool:
+        """One object is certainly not in the container. True if that is news."""
+        self.detected[container, obj] = False
+        return self._set(container, obj, 0.0)
+
+    def failed(self, container: int, obj: int) -> None:
+        """A search (object -1) or an interaction could not be made; what fails too often is given up."""
+        count = self.failures[container, obj] = self.failures.get((container, obj), 0) + 1
+        if count >= MAX_FAILURES and obj >= 0:
+            self.ruled_out(container, obj)
+        elif count >= MAX_FAILURES:
+            self.gave_up(container)
+
+    def found(self) -> NDArray[np.bool_]:
+        """[O] whether some searched container is believed to hold the object."""
+        return np.asarray(((self.presence_prob > 0) & self.searched[:, None]).any(axis=0))
+
+    def look_again(self, missing: NDArray[np.bool_], reachable: NDArray[np.bool_]) -> None:
+        """Opens searched containers in which a missing object may have been overlooked, where no open one is likelier.
+
+        Args:
+            missing: [O] the objects that are needed and were not found.
+            reachable: [C] where robots can go.
+        """
+        doubtful = self.searched & reachable
+        open_now = ~self.searched & reachable
+        again = np.zeros_like(self.searched)
+        for obj in np.flatnonzero(missing):
+            prob = self.posterior[:, obj]
+            again |= doubtful & (prob > 0.0) & (prob >= prob[open_now].max(initial=0.0))
+        self.searched[again] = False
+        self.presence_prob[again] = self.posterior[again]
+
+    def _now_searched(self, container: int, posterior: NDArray[np.float64]) -> bool:
+        self.posterior[container] = posterior
+        row = (self.detected[container] & (posterior >= BELIEVED_PROB)).astype(float)
+        news = not self.searched[container] or bool((row != self.presence_prob[container]).any())
+        self.searched[container] = True
+        self.presence_prob[container] = row
+        return news
+
+    def _set(self, container: int, obj: int, prob: float) -> bool:
+        self.posterior[container, obj] = prob
+        found = bool(self.detected[container, obj]) and prob >= BELIEVED_PROB
+        told = float(found) if self.searched[container] else prob
+        news = bool(self.presence_prob[container, obj] != told)
+        self.presence_prob[container, obj] = told
+        return news
+
+
+def prior_belief(
+    likelihood: NDArray[np.float64],
+    reachable: NDArray[np.bool_],
+    sensor: Sensor,
+    known: Mapping[int, NDArray[np.bool_]] | None = None,
+) -> Belief:
+    """The belief of a team that has the likelihoods [C, O] and knows what some containers hold (index -> [O])."""
+    presence_prob, searched = likelihood.astype(float).copy(), np.zeros(len(likelihood), dtype=bool)
+    for container, holds in (known or {}).items():
+        presence_prob[container], searched[container] = holds, True
+    presence_prob[~reachable] = 0.0
+    return Belief(presence_prob, searched, sensor)

@@ -1,0 +1,242 @@
+"""The messages between a live team and its robots, as pydantic models; `schemas` gives JSON Schema for each.
+
+Meant to be easy to map on what fleets speak. An order is one action of one robot with a route, as the nodes of a VDA
+5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's NavigateToPose:
+SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the one before.
+Every event has an ``id`` of the sender's own and the time at which it happened, in seconds on one clock for all.
+"""
+
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
+
+PROTOCOL_VERSION = 1
+MAX_NAME = 200
+MAX_LISTED = 1000
+MAX_TIME_S = 1e9
+MAX_METRES = 1e6
+
+Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
+Seconds = Annotated[float, Field(ge=0, le=MAX_TIME_S)]
+Metres = Annotated[float, Field(ge=-MAX_METRES, le=MAX_METRES)]
+Confidence = Annotated[float, Field(gt=0, le=1)]
+Outcome = Literal["FINISHED", "FAILED"]
+
+
+class Message(BaseModel):
+    """Anything on the wire."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Event(Message):
+    id: Name
+    time_s: Seconds
+
+
+class _OfRobot(_Event):
+    robot: Name
+
+
+class _AtPlace(_OfRobot):
+    x_m: Metres
+    y_m: Metres
+
+
+class _AtContainer(_OfRobot):
+    container: Name
+
+
+class Pose(_AtPlace):
+    """The robot is at this place."""
+
+    type: Literal["pose"]
+
+
+class Arrived(_AtContainer):
+    """The robot is at the container that it was ordered to."""
+
+    type: Literal["arrived"]
+
+
+class NavigationFailed(_AtContainer):
+    """The robot gave up its way to the container."""
+
+    type: Literal["navigation_failed"]
+    reason: str = Field(default="", max_length=MAX_NAME)
+
+
+class Detection(Message):
+    """An object that was detected, with the probability that this was a detection and no noise."""
+
+    object: Name
+    confidence: Confidence
+
+
+class SearchEnded(_AtContainer):
+    """The robot has searched the container: all objects that it saw there; what is not among them was not detected."""
+
+    type: Literal["search_ended"]
+    status: Outcome = "FINISHED"
+    objects: tuple[Name | Detection, ...] = Field(default=(), max_length=MAX_LISTED)
+
+
+class ObjectSeen(_Event):
+    """An object was seen in a container in passing, or (``present`` false) seen not to be there any more."""
+
+    type: Literal["object_seen"]
+    container: Name
+    object: Name
+    present: bool = True
+    confidence: Confidence = 1.0
+    robot: Name | None = None
+
+
+class InteractionEnded(_AtContainer):
+    """The robot has interacted with the object, or could not; ``gone``: because the object is not there."""
+
+    type: Literal["interaction_ended"]
+    object: Name
+    status: Outcome = "FINISHED"
+    gone: bool = False
+
+
+class RobotLost(_OfRobot):
+    """The robot takes part no more."""
+
+    type: Literal["robot_lost"]
+
+
+class RobotJoined(_AtPlace):
+    """A new robot, or one that was lost, takes part from this place on."""
+
+    type: Literal["robot_joined"]
+
+
+class _Barrier(_Event):
+    door: Name | None = None
+    x_m: Metres | None = None
+    y_m: Metres | None = None
+    radius_m: float = Field(default=0.3, gt=0, le=10)
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.door is None) == (self.x_m is None or self.y_m is None):
+            raise ValueError("give a door, or x_m and y_m")
+        return self
+
+
+class RouteBlocked(_Barrier):
+    """Nobody gets through this door, or past this place (a disc of ``radius_m``)."""
+
+    type: Literal["route_blocked"]
+
+
+class RouteCleared(_Barrier):
+    """What was blocked with the same door or place is free again."""
+
+    type: Literal["route_cleared"]
+
+
+_Events = (
+    Pose
+    | Arrived
+    | NavigationFailed
+    | SearchEnded
+    | ObjectSeen
+    | InteractionEnded
+    | RobotLost
+    | RobotJoined
+    | RouteBlocked
+    | RouteCleared
+)
+Event = Annotated[_Events, Field(discriminator="type")]
+
+
+class Batch(Message):
+    """Events of one instant, all taken in before anybody is sent anywhere; with ``more`` another batch follows."""
+
+    type: Literal["batch"]
+    events: tuple[Event, ...] = Field(max_length=MAX_LISTED)
+    more: bool = False
+
+
+class Hello(Message):
+    """Asks for `Welcome`, the present orders and the task's state; the first message on a WebSocket."""
+
+    type: Literal["hello"]
+    version: int = PROTOCOL_VERSION
+    token: str | None = Field(default=None, max_length=MAX_NAME)
+
+
+_Incoming = _Events | Batch | Hello
+
+
+class Welcome(Message):
+    """What the live team is about."""
+
+    type: Literal["welcome"] = "welcome"
+    version: int = PROTOCOL_VERSION
+    task: str
+    formula: str
+    objects: tuple[str, ...]
+    containers: tuple[str, ...]
+    robots: tuple[str, ...]
+    last_event: str | None
+    """The id of the last event that was taken in: where to go on after a break."""
+
+
+class Answer(Message):
+    """What became of an event: ``duplicate`` and ``rejected`` ones changed nothing; ``reason`` says why."""
+
+    type: Literal["answer"] = "answer"
+    event: str | None
+    status: Literal["accepted", "duplicate", "rejected"]
+    reason: str = ""
+
+
+class Order(Message):
+    """What a robot is to do from now on; it takes the place of the robot's order before."""
+
+    type: Literal["order"] = "order"
+    order: int
+    robot: str
+    action: Literal["navigate", "search", "interact", "wait"]
+    container: str | None = None
+    object: str | None = None
+    route: tuple[tuple[float, float], ...] = ()
+    """Turning points in metres, from where the robot is taken to be to where it is to stop."""
+    length_m: float = 0.0
+
+
+class Letter(Message):
+    """An interaction that counted."""
+
+    time_s: float
+    robot: str
+    object: str
+    container: str
+
+
+class TaskState(Message):
+    """How far the task is; ``stuck`` says why nobody can go on, until some event helps."""
+
+    type: Literal["task"] = "task"
+    status: Literal["running", "done", "stuck"]
+    time_s: float
+    word: tuple[Letter, ...]
+    reason: str = ""
+
+
+Outgoing = Welcome | Answer | Order | TaskState
+INCOMING: TypeAdapter[Any] = TypeAdapter(Annotated[_Incoming, Field(discriminator="type")])
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """The JSON Schema of every message, by its ``type``."""
+    result = {}
+    for model in (*get_args(_Incoming), *get_args(Outgoing)):
+        schema = model.model_json_schema(mode="validation")
+        kind = schema["properties"]["type"]
+        result[kind.get("const") or kind["default"]] = schema
+    return result

@@ -1,0 +1,148 @@
+"""What a live team knows: the simulated episode's `TeamState`, and what was heard from its robots beside it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.errors import InputError
+from mrtask.execution.belief import prior_belief
+from mrtask.execution.motion import Position
+from mrtask.execution.robot import LOST, Robot
+from mrtask.execution.scenario import free_cell_near
+from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_state import TeamState
+from mrtask.homes.home import Home, Point
+from mrtask.live.barriers import Barrier
+from mrtask.maps.home_map import HomeMap
+from mrtask.names import name_to_text
+from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.words import ReadTask
+
+POSE_REACH_M = 1.0
+"""A robot may report to be this far off the free floor."""
+NAMES_SHOWN = 20
+
+
+class Refused(Exception):
+    """Why an event changes nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSetup:
+    """What does not change while a live team works: where, what for, by which planner."""
+
+    home: Home
+    home_map: HomeMap
+    text: str
+    """The task as it was given."""
+    task: ReadTask
+    likelihood: NDArray[np.float64]
+    """[C, O]"""
+    spec: RobotSpec = field(default_factory=RobotSpec)
+    planner: str = "pouct"
+    planner_options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+
+class LiveState:
+    """All that a live team keeps; `mrtask.live.store` saves and restores it.
+
+    Args:
+        robots: name -> where it is, in metres.
+
+    Raises:
+        InputError: there is no robot, or one's place is off the free floor.
+    """
+
+    def __init__(self, setup: LiveSetup, robots: Mapping[str, Point]) -> None:
+        if not robots:
+            raise InputError("a live team needs at least one robot to start with")
+        self.setup = setup
+        self.containers = {container.id: index for index, container in enumerate(setup.home.containers)}
+        self.objects = {name_to_text(name): index for index, name in enumerate(setup.task.propositions)}
+        sensor = setup.spec.perception.sensor(setup.task.propositions)
+        self.names = list(robots)
+        self.team = TeamState(
+            list(self.containers),
+            setup.home_map,
+            build_automaton(setup.task.formula, setup.task.propositions),
+            prior_belief(setup.likelihood, setup.home_map.reachable, sensor),
+            spec=setup.spec,
+            starts=[Position.at(free_cell_near(setup.home_map, point, POSE_REACH_M)) for point in robots.values()],
+        )
+        self.decisions = self.orders = self.map_version = 0
+        self.barriers: dict[str, Barrier] = {}
+        self.ids: dict[str, None] = {}
+        """Of the events that were taken in, the last at the end."""
+        self.seen_s = np.full(setup.likelihood.shape, -np.inf)
+        """[C, O] when it was last seen whether the object is there."""
+        self.heard_s = [0.0] * len(self.names)
+        """[R] the time of the last pose."""
+        self.told: dict[str, tuple[Any, ...]] = {}
+        """Robot -> what its last order was made from."""
+        self.busy: set[int] = set()
+        """The robots that were not free after the last decision."""
+        self.ended: list[int] = []
+        """The robots whose interactions ended in this instant."""
+        self.surprise = True
+        """Whether anything unexpected calls for a decision although no robot became free."""
+
+    @property
+    def last_event(self) -> str | None:
+        """The id of the last event that was taken in."""
+        return next(reversed(self.ids), None)
+
+    @property
+    def present(self) -> list[int]:
+        """The robots that are not lost."""
+        return self.team.active
+
+    def number(self, name: str) -> int:
+        """A robot's number; raises `Refused`, as all of these, where there is none."""
+        if name not in self.names:
+            raise Refused(f"no robot {name!r}; there are: {_listed(self.names)}; robot_joined adds one")
+        return self.names.index(name)
+
+    def robot(self, name: str) -> Robot:
+        """A robot that is not lost."""
+        robot = self.team.robots[self.number(name)]
+        if robot.mode == LOST:
+            raise Refused(f"robot {name!r} is lost; robot_joined brings it back")
+        return robot
+
+    def container(self, name: str) -> int:
+        """A container's index."""
+        if name not in self.containers:
+            raise Refused(f"no container {name!r}; there are: {_listed(self.containers)}")
+        return self.containers[name]
+
+    def order_ended(self, robot: str) -> None:
+        """The robot has ended what it was ordered to: the same again is a new order."""
+        self.told.pop(robot, None)
+
+    def object(self, name: str) -> int | None:
+        """A task object's index, None for any other object."""
+        return self.objects.get(name_to_text(name))
+
+    def position(self, x_m: float, y_m: float) -> Position:
+        """Where on the map a robot is that says to be there."""
+        try:
+            return Position.at(free_cell_near(self.team.home_map, (x_m, y_m), POSE_REACH_M))
+        except InputError as error:
+            raise Refused(str(error)) from None
+
+    def door(self, name: str) -> tuple[Point, Point]:
+        """The two ends of a door."""
+        doors = {door.id: (door.start, door.end) for door in self.setup.home.doors}
+        if name not in doors:
+            raise Refused(f"no door {name!r}; there are: {_listed(doors) or 'none'}")
+        return doors[name]
+
+
+def _listed(names: Mapping[str, Any] | list[str]) -> str:
+    shown = list(names)[:NAMES_SHOWN]
+    more = f", ... ({len(names)} in all)" if len(names) > NAMES_SHOWN else ""
+    return ", ".join(name[:40] for name in shown) + more

@@ -1,0 +1,123 @@
+"""A team of real robots: events in, orders out.
+
+`LiveTeam` takes in what its robots report (`mrtask.live.events`), lets the planner decide where a robot became free or
+something unexpected happened, and says what changed (`mrtask.live.orders`).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mrtask.errors import InputError
+from mrtask.execution.robot import LOST
+from mrtask.execution.trials import key_seed
+from mrtask.homes.home import Point
+from mrtask.live import messages as m
+from mrtask.live.events import TAKES_IN
+from mrtask.live.orders import order_key, order_of, task_state
+from mrtask.live.state import LiveSetup, LiveState, Refused
+from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import WAIT, Assignment
+
+MAX_AHEAD_S = 86_400.0
+"""An event that lies further ahead of all before it has a wrong clock."""
+IDS_KEPT = 100_000
+
+
+class LiveTeam(LiveState):
+    """A `LiveState` that takes in events and decides.
+
+    Args:
+        robots: name -> where it is, in metres.
+
+    Raises:
+        InputError: as `LiveState`, or the planner needs to know the contents.
+    """
+
+    def __init__(self, setup: LiveSetup, robots: Mapping[str, Point]) -> None:
+        super().__init__(setup, robots)
+        self.planner = make_planner(setup.planner, dict(setup.planner_options))
+        if self.planner.knows_contents:
+            raise InputError(f"planner {setup.planner!r} knows all contents, which nobody does here; give another")
+
+    def begin(self) -> list[m.Outgoing]:
+        """The first decision, or after a restart the next."""
+        return self._go_on(decide=True)
+
+    def handle(self, events: Sequence[Any], *, more: bool = False) -> list[m.Outgoing]:
+        """Takes in events of one instant.
+
+        Args:
+            events: of the models in `mrtask.live.messages.Event`.
+            more: another batch of this instant follows, so nobody is sent anywhere yet.
+
+        Returns:
+            One `Answer` for each event, then the orders that changed, and the task's state if anything changed.
+        """
+        answers = [self._answer(event) for event in events]
+        if answers and all(answer.status != "accepted" for answer in answers):
+            return [*answers]
+        return [*answers, *self._go_on(decide=not more)]
+
+    def present_orders(self) -> list[m.Outgoing]:
+        """The orders in force, as if they were given now."""
+        return [order_of(self, number) for number in self.present]
+
+    def _answer(self, event: Any) -> m.Answer:
+        if event.id in self.ids:
+            return m.Answer(event=event.id, status="duplicate", reason="an event of this id was taken in before")
+        before_s = self.team.time_s
+        try:
+            if event.time_s > before_s + MAX_AHEAD_S:
+                raise Refused(f"its time_s is more than {MAX_AHEAD_S:g} s ahead of all before; is its clock right?")
+            self.team.time_s = max(before_s, event.time_s)
+            note = TAKES_IN[event.type](self, event)
+        except Refused as refused:
+            self.team.time_s = before_s
+            return m.Answer(event=event.id, status="rejected", reason=str(refused))
+        self.ids[event.id] = None
+        if len(self.ids) > IDS_KEPT:
+            del self.ids[next(iter(self.ids))]
+        return m.Answer(event=event.id, status="accepted", reason=note or "")
+
+    def _go_on(self, *, decide: bool) -> list[m.Outgoing]:
+        team = self.team
+        if self.ended:
+            team.interactions_ended([team.robots[number] for number in sorted(self.ended)])
+            self.ended = []
+        team.start_interactions()
+        if decide:
+            team.release()
+            freed = any(team.robots[number].mode == "free" for number in self.busy)
+            if (freed or self.surprise) and not team.accepted:
+                self._decide()
+            self.busy = {number for number, robot in enumerate(team.robots) if robot.mode not in ("free", LOST)}
+            self.surprise = False
+        told, self.told = self.told, {}
+        orders: list[m.Outgoing] = []
+        for number, (name, robot) in enumerate(zip(self.names, team.robots, strict=True)):
+            self.told[name] = order_key(self, robot)
+            if self.told[name] != told.get(name):
+                self.orders += 1
+                if robot.mode != LOST:
+                    orders.append(order_of(self, number))
+        return [*orders, task_state(self)]
+
+    def _decide(self) -> None:
+        team = self.team
+        problem = team.problem() if team.active else None
+        if problem is None or not problem.deciders("all"):
+            return
+        seed = key_seed(self.setup.seed, self.setup.planner, self.decisions)
+        plan = self.planner.plan(problem, seed)
+        self.decisions += 1
+        assignments = {
+            index: assignment
+            if assignment.container == WAIT or np.isfinite(problem.robots[index].travel_s[assignment.container])
+            else Assignment(WAIT, assignment.interaction)
+            for index, assignment in plan.assignments.items()
+        }
+        team.assign(assignments)
+        team.start_interactions()
+        team.release()

@@ -1,0 +1,120 @@
+"""Arms: evaluations that differ in some overrides of one configuration, to be compared on one page.
+
+Arms that differ in planners' options or likelihoods alone run on the same trials, as variants in one evaluation
+(<output_dir>/runs/...): their rows are paired, planners that do not differ run once, and a run that is interrupted goes
+on where it stopped. Arms with other trials are evaluations of their own. A later command with more arms or trials adds
+what is missing.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from pipeline import evaluate
+from pipeline.app.stage import Session
+from pipeline.base import console
+from pipeline.base.config import Config, OtherLikelihood, PlannerVariant, UserError, content_hash, with_overrides
+from pipeline.episodes.plan import WHICH_ROWS
+from pipeline.store import layout
+from pipeline.store.folder import Folder
+from pipeline.store.layout import EPISODES
+
+Arm = tuple[str, Sequence[str]]
+"""A name and the overrides, ``key=value``."""
+OF_TRIALS = {"seed", "map", "homes", "contents", "evaluation", "belief"}
+"""The parts of the configuration that decide which trials there are, and what is learned from one to the next; the
+planners' options and likelihoods are the rest of an arm."""
+
+
+@dataclass
+class SharedRun:
+    """One evaluation: all arms with the same trials."""
+
+    config: Config
+    """Of the trials; planners' options and likelihoods are those of all arms' common configuration."""
+    first: str
+    """The first arm that it was made for."""
+    variants: dict[str, PlannerVariant] = field(default_factory=dict)
+    arms: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
+    """Each arm with the variant's name of every planner."""
+
+    @property
+    def trials_key(self) -> str:
+        """What decides the trials."""
+        return content_hash(self.config.model_dump(mode="json", include=OF_TRIALS))
+
+    def add(self, arm: str, config: Config, planners: Sequence[str]) -> None:
+        """Takes in an arm; a planner whose options an earlier arm has shares that one's rows."""
+        names = {}
+        for planner in planners:
+            likelihood = OtherLikelihood.model_validate(config.likelihood_of(planner).model_dump())
+            variant = PlannerVariant(planner=planner, options=config.planner_options(planner), likelihood=likelihood)
+            known = next((name for name, other in self.variants.items() if other == variant), None)
+            names[planner] = known or f"{planner}:{slug(arm)}"
+            self.variants[names[planner]] = variant
+        self.arms.append((arm, names))
+
+    def configured(self) -> Config:
+        """The evaluation's configuration."""
+        evaluation = self.config.evaluation.model_copy(update={"planners": tuple(self.variants)})
+        trials = self.config.model_dump(mode="json", include=OF_TRIALS | {"planner", "likelihood"})
+        # Asked for more of the same trials, the run grows.
+        trials["evaluation"] = {name: one for name, one in trials["evaluation"].items() if name not in WHICH_ROWS}
+        folder = layout.runs(Folder(self.config.output_dir), slug(self.first), content_hash(trials))
+        return self.config.model_copy(
+            update={"evaluation": evaluation, "planner_variants": self.variants, "output_dir": folder.location}
+        )
+
+    @property
+    def episodes(self) -> Folder:
+        """Where its rows are."""
+        return Folder(self.configured().output_dir) / EPISODES
+
+    def by_arm(self, rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+        """Each arm with its part of the rows, under the planners' own names."""
+        for arm, names in self.arms:
+            own = {name: planner for planner, name in names.items()}
+            of_arm = rows[rows["planner"].isin(own)]
+            yield arm, of_arm.assign(planner=of_arm["planner"].map(own))
+
+
+def run_arms(
+    config: Config, arms: Sequence[Arm], planners: Sequence[str], session: Session, what: str
+) -> list[SharedRun]:
+    """Runs all evaluations that the arms need; with dry_run a pilot of each.
+
+    Args:
+        what: what the arms are part of, for messages.
+
+    Raises:
+        UserError: an arm's overrides are a mistake, or two arms have one name.
+    """
+    shared = lay_out(config, arms, planners, what)
+    console.headline(what, f"{len(arms)} arms in {len(shared)} evaluations")
+    for one in shared:
+        evaluate.run(one.configured(), session)
+    return shared
+
+
+def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> list[SharedRun]:
+    """The evaluations that all arms need; arguments and errors as of `run_arms`."""
+    runs: dict[str, SharedRun] = {}
+    names = [slug(arm) for arm, _ in arms]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UserError(f"{what}: two arms are called {', '.join(twice)}; give each a name of its own")
+    for arm, overrides in arms:
+        try:
+            armed = with_overrides(config, overrides)
+        except UserError as error:
+            raise UserError(f"{what}, arm {arm}: {error}") from error
+        common = armed.model_copy(update={"planner": config.planner, "likelihood": config.likelihood})
+        shared = SharedRun(common, arm)
+        runs.setdefault(shared.trials_key, shared).add(arm, armed, planners)
+    return list(runs.values())
+
+
+def slug(name: str) -> str:
+    """An arm's name as part of a folder's and of a planner variant's, which is also a metric's."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")

@@ -1,0 +1,71 @@
+"""The options of the live process: those of any tool on a given map, and its robots, its files and its address."""
+
+import ipaddress
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Self
+
+from pydantic import Field, field_validator, model_validator
+
+from mrtask.execution.team import RobotSpec
+from mrtask.planning.planners import make_planner
+from pipeline.app.given import Coordinates, Given
+from pipeline.base.config import LocalPath, Perception
+
+MIN_TOKEN = 16
+
+
+class GivenTeam(Given):
+    """The options of `pipeline.live`; ``conf/live.yaml`` says what each is."""
+
+    team: dict[str, Coordinates] = Field(min_length=1)
+    decide_by: str
+    perception: Perception
+    state: LocalPath | None
+    log: LocalPath | None
+    websocket: str | None
+    token: str | None
+
+    @field_validator("websocket", mode="before")
+    @classmethod
+    def _with_host(cls, value: object) -> object:
+        return f"127.0.0.1:{value}" if isinstance(value, int) else value
+
+    @model_validator(mode="after")
+    def _safe(self) -> Self:
+        make_planner(self.decide_by, self.planner_options)
+        if self.websocket is not None:
+            host, port = self.address
+            if not 0 <= port <= 65535:
+                raise ValueError(f"websocket={self.websocket}: a port is 0 to 65535")
+            if not _is_loopback(host) and len(self.token or "") < MIN_TOKEN:
+                raise ValueError(
+                    f"websocket={self.websocket} can be reached from other machines: give a token of at least "
+                    f"{MIN_TOKEN} characters, or 127.0.0.1"
+                )
+        return self
+
+    @property
+    def spec(self) -> RobotSpec:
+        """What the robots are like."""
+        return replace(super().spec, perception=self.perception.perception())
+
+    @property
+    def planner_options(self) -> Mapping[str, object]:
+        """The options of the planner that decides."""
+        return self.planner.get(self.decide_by.rsplit(".", 1)[-1], {})
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where the WebSocket listens."""
+        host, colon, port = (self.websocket or "").rpartition(":")
+        if not colon or not port.isdigit():
+            raise ValueError(f"websocket={self.websocket}: give a port or host:port")
+        return host.strip("[]"), int(port)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

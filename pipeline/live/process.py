@@ -1,0 +1,147 @@
+"""A team of real robots: events come in as JSON lines, orders go out, by standard input and output or a WebSocket.
+
+    python -m pipeline.live map=lab.yaml containers=containers.yaml task="pillow and remote" team="{r1: [1, 2]}"
+    python -m pipeline.live name=apartment1 team="{r1: [5.5, 0.6]}" websocket=8765 state=run/state.json
+
+Messages and their meaning: mrtask/live/messages.py, as JSON Schema in mrtask/live/schemas; a client:
+pipeline/live/client.py. Killed and started again with the same state file it goes on. Every key: conf/live.yaml.
+"""
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
+
+from mrtask.execution.scenario import prior, task_in, with_places
+from mrtask.live.session import MAX_BYTES, LiveSession
+from mrtask.live.state import LiveSetup
+from mrtask.live.store import restore
+from mrtask.live.team import LiveTeam
+from mrtask.maps.ros_map import read_ros_map
+from pipeline.app.given import scenario_files
+from pipeline.app.tool import load_options, overrides
+from pipeline.live.options import GivenTeam
+
+VERBATIM = ("task", "name", "token")
+
+
+def run(arguments: Sequence[str]) -> None:
+    """The tool."""
+    given = overrides(arguments, VERBATIM)
+    options = load_options(GivenTeam, scenario_files(given, "live.yaml"), given)
+    session = LiveSession(_live(options), options.state, options.log)
+    asyncio.run(_serve(options, session))
+
+
+def _live(options: GivenTeam) -> LiveTeam:
+    home = read_ros_map(options.map, options.containers)
+    task = task_in(home, options.task, options.objects or None, robots=len(options.team))
+    home = with_places(home, task.places)
+    setup = LiveSetup(
+        home=home,
+        home_map=options.map_of(home),
+        text=options.task,
+        task=task,
+        likelihood=prior(home, task, options.model()),
+        spec=options.spec,
+        planner=options.decide_by,
+        planner_options=options.planner_options,
+        seed=options.seed,
+    )
+    if options.state is not None and options.state.is_file():
+        live = restore(setup, options.state.read_text(encoding="utf-8"))
+        print(f"goes on from {options.state}", file=sys.stderr)
+        return live
+    return LiveTeam(setup, options.team)
+
+
+class SessionHub:
+    """One session for all who talk to it: answers go to the sender, orders and the task's state to everybody."""
+
+    def __init__(self, session: LiveSession) -> None:
+        self.session = session
+        self.listeners: dict[object, asyncio.Queue[str | None]] = {}
+        self._one_at_a_time = asyncio.Lock()
+
+    async def receive(self, sender: object, text: str | bytes) -> None:
+        async with self._one_at_a_time:
+            answers, news = await asyncio.to_thread(self.session.receive, text)
+        self._tell(sender, answers)
+        for listener in list(self.listeners):
+            self._tell(listener, news)
+
+    def _tell(self, listener: object, lines: Sequence[str]) -> None:
+        """Who is too far behind to be told is let go, and nobody else is the worse for it."""
+        if (queue := self.listeners.get(listener)) is None:
+            return
+        try:
+            for line in lines:
+                queue.put_nowait(line)
+        except asyncio.QueueFull:
+            del self.listeners[listener]
+            while not queue.empty():
+                queue.get_nowait()
+            queue.put_nowait(None)
+
+
+async def _serve(options: GivenTeam, session: LiveSession) -> None:
+    hub, done = SessionHub(session), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for name in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(name, done.set)
+    # Before anybody can talk to the session, since only the hub's lock keeps messages apart.
+    for text in session.begin():
+        print(text, flush=True)
+    async with contextlib.AsyncExitStack() as stack:
+        if options.websocket is not None:
+            from pipeline.live.websocket import serve
+
+            port = await stack.enter_async_context(serve(hub, *options.address, options.token))
+            print(f"listening on port {port}", file=sys.stderr, flush=True)
+        pipes = asyncio.create_task(_pipes(hub, done, ends=options.websocket is None))
+        await done.wait()
+        pipes.cancel()
+
+
+async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
+    """Standard input and output; ``ends``: the end of input is the end of all."""
+    loop = asyncio.get_running_loop()
+    queue: asyncio.Queue[str | None] = asyncio.Queue()
+    hub.listeners["pipes"] = queue
+
+    def read() -> None:
+        with contextlib.suppress(CancelledError, RuntimeError):  # the loop ended first
+            for line in lines_of(sys.stdin.fileno()):
+                asyncio.run_coroutine_threadsafe(hub.receive("pipes", line), loop).result()
+            loop.call_soon_threadsafe(queue.put_nowait, None)
+
+    threading.Thread(target=read, daemon=True).start()
+    try:
+        while (text := await queue.get()) is not None:
+            print(text, flush=True)
+    except BrokenPipeError:
+        done.set()
+    if ends:
+        done.set()
+
+
+def lines_of(descriptor: int) -> Iterator[bytes]:
+    """The lines of a file, pipe or terminal that are not empty; of one that is too long only its beginning."""
+    held, too_long = b"", False
+    while chunk := os.read(descriptor, 65_536):
+        *ended, rest = (held + chunk).split(b"\n")
+        for line in ended:
+            if line.strip() and not too_long:
+                yield line
+            too_long = False
+        held = rest
+        if len(held) > MAX_BYTES:
+            if not too_long:
+                yield held
+            held, too_long = b"", True
+    if held.strip() and not too_long:
+        yield held

@@ -1,0 +1,1 @@
+"""Simulators that are not ours, driven by the live team over its protocol."""

@@ -1,0 +1,222 @@
+"""Random event streams against a live team, with what must hold whatever comes in.
+
+By hand: ``python -m tests.live.fuzz 10000``.
+"""
+
+import json
+import random
+
+import numpy as np
+
+from mrtask.execution.perception import Perception, Rates
+from mrtask.execution.robot import LOST
+from mrtask.live.session import LiveSession
+
+KINDS = (
+    "pose", "arrived", "navigation_failed", "search_ended", "object_seen", "interaction_ended", "robot_lost",
+    "robot_joined", "route_blocked", "route_cleared",
+)  # fmt: skip
+
+
+class Stream:
+    """One stream: likely events, contradictory ones, and lines that are no message at all."""
+
+    def __init__(self, live, seed, doors=()):
+        self.live, self.rng, self.doors = live, random.Random(seed), list(doors)
+        self.session = LiveSession(live)
+        self.certain = live.setup.spec.perception.sees_all
+        """Whether what was seen last is believed."""
+        self.found = {}  # (container, object) -> (time, present), the latest sight that was accepted
+        self.time_s, self.count, self.sent = 0.0, 0, []
+        self.rejected = 0
+
+    def run(self, length):
+        self.check_orders([json.loads(line) for line in self.session.begin()])
+        for _ in range(length):
+            self.step()
+        return self
+
+    def step(self):
+        rng = self.rng
+        line = self.junk() if rng.random() < 0.1 else json.dumps(self.event())
+        if self.sent and rng.random() < 0.1:
+            line = rng.choice(self.sent)
+        self.sent = [*self.sent[-20:], line]
+        answers, news = self.session.receive(line)
+        answers, news = [json.loads(one) for one in answers], [json.loads(one) for one in news]
+        if not line.startswith('{"type": "hello"'):
+            assert answers and all(one["type"] == "answer" for one in answers), "an event without an answer"
+        for answer in answers:
+            if answer["type"] == "answer" and answer["status"] != "accepted":
+                assert answer["reason"], "a refusal without a reason"
+                self.rejected += answer["status"] == "rejected"
+        self.note_finds(line, answers)
+        self.check_orders(news)
+        self.check_ordered_again(line, answers, news)
+        self.check_state()
+
+    def event(self):
+        rng, live = self.rng, self.live
+        self.count += 1
+        self.time_s += rng.choice([0.0, 0.5, 2.0])
+        kind = rng.choice(KINDS)
+        late_s = rng.choice([0.0, 0.0, 0.0, 1.0, 5.0])
+        event = {"type": kind, "id": f"i{self.count}", "time_s": max(self.time_s - late_s, 0.0)}
+        index = rng.randrange(len(live.names))
+        robot = live.team.robots[index]
+        container = rng.choice(list(live.containers))
+        if rng.random() < 0.7:  # what fits the robot's order
+            place = robot.assignment.container if robot.mode == "move" else robot.place
+            container = live.team.containers[place] if place >= 0 else container
+        objects = [*live.setup.task.propositions, "Spoon"]
+        place = {"x_m": rng.uniform(-1, 9), "y_m": rng.uniform(-1, 5)}
+        event |= {
+            "pose": {"robot": live.names[index], **place},
+            "arrived": {"robot": live.names[index], "container": container},
+            "navigation_failed": {"robot": live.names[index], "container": container, "reason": "stuck"},
+            "search_ended": {
+                "robot": live.names[index],
+                "container": container,
+                "status": rng.choice(["FINISHED", "FINISHED", "FAILED"]),
+                "objects": [self.detection(name) for name in rng.sample(objects, rng.randrange(len(objects) + 1))],
+            },
+            "object_seen": {
+                "container": container,
+                "object": rng.choice(objects),
+                "present": rng.random() < 0.5,
+                "confidence": 1.0 if self.certain else rng.uniform(0.01, 1.0),
+            },
+            "interaction_ended": {
+                "robot": live.names[index],
+                "container": container,
+                "object": live.setup.task.propositions[robot.obj] if robot.obj >= 0 else rng.choice(objects),
+                "status": rng.choice(["FINISHED", "FAILED"]),
+                "gone": rng.random() < 0.5,
+            },
+            "robot_lost": {"robot": live.names[index]},
+            "robot_joined": {"robot": rng.choice([*live.names, "new"]), **place},
+            "route_blocked": rng.choice([{"door": rng.choice(self.doors or ["none"])}, {**place, "radius_m": 0.4}]),
+            "route_cleared": rng.choice([{"door": rng.choice(self.doors or ["none"])}, place]),
+        }[kind]
+        if rng.random() < 0.1:  # contradictory or unknown
+            event[rng.choice(list(event))] = rng.choice([None, "nobody", -1.0, 1e300, [], {}, True, "x" * 300])
+        if rng.random() < 0.1:
+            return {"type": "batch", "events": [event], "more": rng.random() < 0.5}
+        return event
+
+    def detection(self, name):
+        if self.rng.random() < 0.5:
+            return name
+        return {"object": name, "confidence": 1.0 if self.certain else self.rng.uniform(0.01, 1.0)}
+
+    def junk(self):
+        rng = self.rng
+        return rng.choice(
+            [
+                "", "{", "null", "[]", "[" * 10_000, '{"a":' * 5000, '"' + "x" * 300_000, "\\", "{}",
+                '{"type": "order"}',
+                '{"type": "pose"}', '{"type": "hello"}', '{"type": "hello", "version": "x"}', "\ud800", "NaN", "1e999",
+                '{"type": "pose", "id": "n", "time_s": NaN, "robot": "r1", "x_m": 0, "y_m": 0}',
+                json.dumps({"type": "batch", "events": [{"type": "batch", "events": []}]}),
+                "".join(chr(rng.randrange(32, 0x2FF)) for _ in range(rng.randrange(200))),
+            ]
+        )  # fmt: skip
+
+    def note_finds(self, line, answers):
+        if not answers or answers[-1].get("status") != "accepted":
+            return
+        content = json.loads(line)
+        events = content["events"] if content["type"] == "batch" else [content]
+        for event, answer in zip(events, answers, strict=True):
+            if answer["status"] != "accepted":
+                continue
+            if event["type"] == "object_seen" and event["object"] in self.live.setup.task.propositions:
+                self.find(event, event["object"], event.get("present", True))
+            if event["type"] == "search_ended" and event.get("status", "FINISHED") == "FINISHED":
+                for name in self.live.setup.task.propositions:
+                    seen = [one if isinstance(one, str) else one["object"] for one in event.get("objects", ())]
+                    self.find(event, name, name in seen)
+            if event["type"] in ("interaction_ended", "navigation_failed", "search_ended"):
+                failed = event["type"] == "navigation_failed" or event.get("status") == "FAILED"
+                if failed:  # what fails too often is given up
+                    for name in self.live.setup.task.propositions:
+                        self.found.pop((event["container"], name), None)
+
+    def find(self, event, name, present):
+        key = event["container"], name
+        if event["time_s"] >= self.found.get(key, (-1.0, None))[0]:
+            self.found[key] = (event["time_s"], present)
+
+    def check_state(self):
+        live, team = self.live, self.live.team
+        belief = team.belief
+        assert ((belief.posterior >= 0) & (belief.posterior <= 1)).all()
+        told = np.where(belief.searched[:, None], belief.detected & (belief.posterior >= 0.5), belief.posterior)
+        if self.certain:
+            assert np.array_equal(belief.presence_prob, told)
+        else:  # where nobody has searched, planners are told the likelihood, not the prior with its doubts
+            assert np.allclose(belief.presence_prob, told, atol=1e-3)
+        for (container, name), (_, present) in self.found.items() if self.certain else ():
+            obj = live.setup.task.propositions.index(name)
+            assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
+        assert team.state == team.automaton.run(letter.object for letter in team.letters)
+        assert team.state != team.automaton.sink
+        assert len(live.names) == len(team.robots) == len(live.heard_s)
+
+    def check_ordered_again(self, line, answers, news):
+        """Whoever ended what it was to do is told what to do next, even if that is the same."""
+        if not answers or answers[0].get("status") != "accepted" or "kept" in answers[0]["reason"]:
+            return
+        event = json.loads(line)
+        over = ("navigation_failed", "search_ended", "interaction_ended")
+        if event["type"] in over and "before the robot was lost" not in answers[0]["reason"]:
+            robot = self.live.team.robots[self.live.names.index(event["robot"])]
+            told = {order["robot"] for order in news if order["type"] == "order"}
+            assert event["robot"] in told or robot.mode == LOST, "a robot that nobody tells what to do"
+
+    def check_orders(self, news):
+        live, team = self.live, self.live.team
+        for order in news:
+            if order["type"] != "order":
+                continue
+            robot = team.robots[live.names.index(order["robot"])]
+            assert robot.mode != LOST, "an order for a robot that is lost"
+            if order["action"] == "navigate":
+                container = live.containers[order["container"]]
+                reached = team.home_map.cell_center(tuple(team.home_map.access[container]))
+                assert np.allclose(order["route"][-1], reached), "a route that ends elsewhere"
+                grid = team.home_map
+                cells = [cell for cell in robot.route.cells]
+                assert all(grid.free[cell] for cell in cells), "a route through what is blocked"
+            if order["action"] == "interact":
+                obj = live.setup.task.propositions.index(order["object"])
+                assert team.belief.presence_prob[live.containers[order["container"]], obj] > 0, (
+                    "an object that is not there"
+                )
+
+
+def main(count):
+    """Runs that many streams on the two-room house and says what came of them."""
+    import pipeline  # noqa: F401 - kernels from the cache
+    from mrtask.homes.procthor import parse_house
+    from mrtask.maps.home_map import build_map
+    from tests.conftest import ASSETS, make_two_room_house
+    from tests.live.test_team import two_robots
+
+    home = parse_house(make_two_room_house(), ASSETS, "two-rooms", 0)
+    home_map = build_map(home)
+    planners = ("greedy", "learned_myopic", "nonlearned_myopic")
+    events = rejected = 0
+    for seed in range(count):
+        perception = Perception(Rates(0.7, 0.1)) if seed % 4 == 3 else None
+        live = two_robots(home, home_map, planners[seed % 3], perception=perception)
+        stream = Stream(live, seed, [door.id for door in home.doors]).run(30)
+        events, rejected = events + stream.count, rejected + stream.rejected
+        if (seed + 1) % 500 == 0:
+            print(f"{seed + 1} streams, {events} events, {rejected} refusals", flush=True)
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(int(sys.argv[1]))
