@@ -129,8 +129,7 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
             for cell in cells
         )
         rows.append(Row(variant or "as configured", entries))
-    teams = (("all teams" if count == ALL_TEAMS else counted(count, "robot")) for _, count in cells)
-    return Table(tuple((name, team) for (name, _), team in zip(cells, teams, strict=True)), tuple(rows))
+    return Table(cell_headings(cells), tuple(rows))
 
 
 def optimality_table(cells: Sequence[CellOptimality]) -> Table:
@@ -173,6 +172,11 @@ def improvement_entry(summary: Summary, published: Published, cell: Cell, planne
         mark = ABOVE if estimate.low > printed else BELOW if estimate.high < printed else LEVEL
     tone = {ABOVE: "good", BELOW: "bad"}.get(mark, "")
     return Entry(f"{entry.value} {mark}".strip(), (*entry.details, f"paper {printed:.2f} %"), tone)
+
+
+def cell_headings(cells: Sequence[Cell]) -> tuple[tuple[str, str], ...]:
+    """Size class and team of each cell, as a table's headings."""
+    return tuple((name, counted(robots, "robot") if robots != ALL_TEAMS else "all teams") for name, robots in cells)
 
 
 def percent_entry(estimate: Estimate) -> Entry:

@@ -13,7 +13,8 @@ homes/, realism/      what draw=true and pipeline.realism leave
 scenario/             the paper's apartments, where pipeline.scenario was given this folder: the report judges them
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
-runs/<arm>-<key>/     of an ablation or a sensitivity page: one output_dir for each evaluation
+runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_dir for each evaluation
+beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -36,11 +37,13 @@ HOUSEKEEP = "housekeep.csv"
 SCENARIO = "scenario"
 CELLS = "cells"
 RUNS = "runs"
+BELIEFS = "beliefs"
+"""A folder: a file for each arm."""
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
-    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES):
+    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
         folder.remove(name)
 
 

@@ -136,10 +136,9 @@ def _trials(world: World, number: int, options: Options, body: Body) -> list[Tri
     """One for each team size, or for the one whose turn it is; any home of a number has the same turn."""
     spec = RobotSpec(body.speed_m_per_s, options.search_time_s, options.interact_time_s)
     turn = number // len(SIZE_CLASSES) % len(options.robots)
-    size_class = world.home.size_class
     return [
         sample_trial(
-            size_class,
+            world.size_class,
             robots,
             number,
             [world.home],

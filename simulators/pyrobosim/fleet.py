@@ -5,7 +5,8 @@ are driven by velocity commands in a loop of our own, the other way that its man
 step of ``STEP_S`` after another: its `RobotDynamics2D.step` limits speed and acceleration, its `Robot.is_in_collision`
 refuses a step into walls, furniture or another robot. It has no rules for robots that meet. Ours:
 
-1. A robot stops before it comes within ``KEEP_OFF_M`` (and its own braking distance) of another one on its way.
+1. A robot stops before its way comes within ``KEEP_OFF_M`` of another one, or of where one that goes first and moves
+   will be within ``CROSSING_S``.
 2. The robot that was named earlier in the team goes first. One that waits for orders, or has given way, goes last; one
    that searches or interacts is waited for.
 3. A robot that holds up one that goes before it drives to the nearest place off that one's way, and goes on when it
@@ -38,8 +39,8 @@ KEEP_OFF_M = 0.06
 """Between the edges of two robots, more than which a robot does not drive up to another one."""
 REFUGE_M = 0.12
 """Between the edges of a robot that gives way and of one that passes."""
-HORIZON_M = 1.2
-"""How far ahead a robot looks for others."""
+HORIZON_M, CROSSING_S = 1.2, 1.0
+"""How far ahead a robot looks for others, and for how long a robot that goes first and moves is expected to move on."""
 PASSED_M = 3.0
 """A robot has passed when this much of its way ahead is clear of the other's next metre."""
 NEXT_M = 1.0
@@ -209,8 +210,12 @@ class Fleet:
             for other in self.members.values():
                 if other is member:
                     continue
-                now_m = np.hypot(*np.subtract(member.place, other.place))
-                apart_m = np.hypot(*(ahead - other.place).T)
+                theirs = np.array([other.place])
+                if other.way is not None and other.order < member.order:
+                    soon_m = max(float(other.robot.dynamics.velocity[0]), 0.0) * CROSSING_S
+                    theirs = np.vstack([theirs, other.way.ahead(soon_m)])
+                now_m = float(np.hypot(*(theirs - member.place).T).min())
+                apart_m = np.hypot(*(ahead[:, None] - theirs[None]).transpose(2, 0, 1)).min(axis=1)
                 too_near = np.flatnonzero((apart_m < 2 * self.body.radius_m + KEEP_OFF_M) & (apart_m < now_m - LEAST))
                 if len(too_near) and (found_m := max(int(too_near[0]) - 1, 0) * step_m) < gap_m:
                     holder, gap_m = other, found_m

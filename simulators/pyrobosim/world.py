@@ -49,6 +49,8 @@ class World:
     folder: Path
     home: Home
     """What the live team reads, with what the containers really hold."""
+    size_class: str
+    """Of the home itself: a map shows less floor, since walls take some."""
     home_map: HomeMap
     """The live team's map."""
     left_out: tuple[str, ...]
@@ -97,7 +99,8 @@ def write_world(home: Home, folder: Path, body: Body) -> World:
     held = {container.id: container.objects for container in home.containers}
     containers = tuple(replace(container, objects=held[container.id]) for container in read.containers)
     _write_world(known, rooms, pieces, poses, folder, body)
-    return World(folder, replace(read, containers=containers), home_map, tuple(sorted(left_out)))
+    known_home = replace(read, containers=containers)
+    return World(folder, known_home, home.size_class, home_map, tuple(sorted(left_out)))
 
 
 def _without(home: Home, left_out: set[str]) -> Home:
