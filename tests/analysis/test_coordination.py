@@ -29,6 +29,12 @@ LATER_TAKEN_BY_ANOTHER = team(
     A,
     Letter(12, 0, "b", "sink"),
 )
+SEARCHED_BEFORE = team(
+    FIRST,
+    [leg("move", 0, 2, "sofa"), leg("search", 2, 2, "sofa"), leg("move", 2, 4, "sink"), leg("search", 4, 4, "sink")],
+    A,
+    B,
+)
 STAYED_AWAY = team(FIRST, [*TO_SINK, leg("move", 4, 6, "sofa"), leg("move", 6, 9, "sink")], A, B)
 
 
@@ -43,6 +49,7 @@ def test_by_hand():
     assert found(IN_TIME) == (1, 0, 0), "who arrives at the same time did not wait"
     assert found(WAITED_FOR_NOTHING) == (1, 0, 0), "no teammate did anything"
     assert found(WENT_ON) == found(LATER_TAKEN_BY_ANOTHER) == (1, 0, 1)
+    assert found(SEARCHED_BEFORE) == (1, 0, 0), "it had seen nothing that the task needs yet"
     assert found(STAYED_AWAY) == (1, 0, 0), "it searched nothing else"
 
 
