@@ -39,8 +39,8 @@ doctor:  ## check this machine and say what to do
 reproduce: $(STAMP)  ## run the whole experiment: homes, dataset, training, evaluation, report
 	@$(BIN)/python -m pipeline.reproduce experiment=$(EXPERIMENT) $(ARGS)
 
-test: $(STAMP)  ## run the tests
-	@$(BIN)/python -m pytest $(ARGS)
+test: $(STAMP)  ## run the tests, in two processes
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup --no-loadscope-reorder $(ARGS)
 
 lint: $(STAMP)  ## formatting, style, types and layers
 	@$(BIN)/ruff check .

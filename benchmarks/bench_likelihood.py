@@ -4,18 +4,18 @@
     python benchmarks/bench_likelihood.py --homes a.jsonl.gz b.jsonl.gz --assets asset-database.json --seeds 5
     python benchmarks/bench_likelihood.py --homes ... --votes data.npy
 
-Always on generated homes, and on the given ones where there are some (500 to train on, 50 to stop training by, the
-rest to test on, divided as ``homes=procthor`` does). With votes, also on the same homes with people's contents. Names
-held out: each of five parts of the object types, and of the container types, is predicted by a model that was trained
-without it. Each training has a process of its own. Networks have the mean and standard deviation of several seeds;
-what depends on no seed is trained once.
+On the homes given, else on generated ones (500 to train on, 50 to stop training by, the rest to test on, divided as
+``homes=procthor`` does). With votes, also on the same homes with people's contents. Names held out: each of five parts
+of the object types, and of the container types, is predicted by a model that was trained without it. Each training has
+a process of its own. Networks have the mean and standard deviation of several seeds; what depends on no seed is trained
+once.
 """
 
 import argparse
 import multiprocessing
 import resource
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,12 +25,12 @@ from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import parse_house, read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE
-from mrtask.homes.split import split_homes
-from mrtask.likelihood.dataset import Dataset, build_dataset
+from mrtask.homes.split import HomeSplit, split_homes
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
+from mrtask.likelihood.rows import SPLITS, count_triples, vocabulary
 from mrtask.likelihood.training import fit, score, score_unseen
 from pipeline.store.voted_contents import VotedContents
 
@@ -41,6 +41,10 @@ SMALL_LAYERS = (128, 64)
 ORDER = ("frequency", "logistic", "similarity", "mlp", "paper_fcnn")
 SEEN_METRICS = ("roc_auc", "average_precision", "log_loss", "brier", "ece")
 UNSEEN_METRICS = ("log_loss", "roc_auc")
+
+
+Triples = Mapping[str, pd.DataFrame]
+"""Distinct triples with counts, by split."""
 
 
 @dataclass(frozen=True)
@@ -66,28 +70,28 @@ def _generated_home(number: int) -> Home:
     return parse_house(house, None, "generated", number)
 
 
-def dataset_of(homes: Sequence[Home], source: str) -> Dataset:
-    """Labelled rows of the homes; at least one must be left to test on."""
-    by_id = {home.id: home for home in homes}
-    split = split_homes(by_id, HOMES["train"], HOMES["validation"], None, SPLIT_SALT)
-    parts = {name: [by_id[home_id] for home_id in getattr(split, name)] for name in HOMES}
-    return build_dataset(parts, source=source, seed=0, code_version="bench")
+def triples_of(homes: Sequence[Home], by_split: HomeSplit) -> Triples:
+    """Counts of the homes by split, about the objects of the training homes; ``homes`` are in the split's order."""
+    by_id = dict(zip([*by_split.train, *by_split.validation, *by_split.test], homes, strict=True))
+    parts = {name: [by_id[home_id] for home_id in getattr(by_split, name)] for name in SPLITS}
+    objects = vocabulary(parts["train"])
+    return {name: count_triples(members, objects) for name, members in parts.items()}
 
 
-def measure(task: tuple[Job, Dataset]) -> dict[str, object]:
+def measure(task: tuple[Job, Triples]) -> dict[str, object]:
     """Train, score, and say what it took."""
-    job, dataset = task
+    job, triples = task
     layers = SMALL_LAYERS if job.kind == "mlp" else PAPER_LAYERS
     network = NetworkOptions(layers=layers, threads=job.threads, seed=job.seed, device="cpu")
     options = TrainingOptions(job.kind, embedding=job.embedding, network=network)
     began_s, began_cpu_s = time.monotonic(), time.process_time()
-    model, _ = fit(dataset.triples("train"), dataset.triples("validation"), options)
+    model, _ = fit(triples["train"], triples["validation"], options)
     took = {"seconds": time.monotonic() - began_s, "cpu_seconds": time.process_time() - began_cpu_s}
-    metrics = score(model, dataset.triples("test"))
+    metrics = score(model, triples["test"])
     found: dict[str, object] = {name: metrics[name] for name in SEEN_METRICS}
     if job.unseen:
         for column in ("object", "container"):
-            metrics = score_unseen(dataset, options, column)
+            metrics = score_unseen(triples, options, column)
             found |= {f"unseen {column}: {name}": metrics[name] for name in UNSEEN_METRICS}
     peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {"data": job.data, "model": job.kind, "seed": job.seed, **found, **took, "peak_gib": peak_gib}
@@ -117,22 +121,19 @@ def main() -> None:
     arguments = parser.parse_args()
 
     began_s = time.monotonic()
-    homes = {"generated": generated_homes()}
-    if arguments.homes:
-        homes = {"given": list(read_houses(arguments.homes, arguments.assets))} | homes
+    homes = list(read_houses(arguments.homes, arguments.assets)) if arguments.homes else generated_homes()
+    by_id = {home.id: home for home in homes}
+    by_split = split_homes(by_id, HOMES["train"], HOMES["validation"], None, SPLIT_SALT)
+    homes = [by_id[home_id] for name in SPLITS for home_id in getattr(by_split, name)]
+    data = {"ProcTHOR's contents": triples_of(homes, by_split)}
     if arguments.votes:
-        given = {
-            "file": arguments.votes,
-            "splits": None,
-            "objects": "all",
-            "table": BUNDLED_TABLE,
-            "embedding": BUNDLED,
-        }
-        contents = VotedContents(**given, misplaced=0.1, seed=0)
-        homes |= {f"{name}, people's contents": list(contents.furnish(members)) for name, members in homes.items()}
-    datasets = {name: dataset_of(members, name) for name, members in homes.items()}
-    print(f"homes and rows: {time.monotonic() - began_s:.0f} s", flush=True)
-    tasks = [(job, datasets[job.data]) for job in jobs(list(datasets), arguments)]
+        contents = VotedContents(
+            file=arguments.votes, splits=None, objects="all", table=BUNDLED_TABLE,
+            misplaced=0.1, seed=0, embedding=BUNDLED,
+        )  # fmt: skip
+        data["people's contents"] = triples_of(contents.furnish(homes), by_split)
+    print(f"homes and counts: {time.monotonic() - began_s:.0f} s", flush=True)
+    tasks = [(job, data[job.data]) for job in jobs(list(data), arguments)]
     records = []
     # Each in a fresh process, so that its peak memory is its own.
     with multiprocessing.get_context("spawn").Pool(arguments.jobs, maxtasksperchild=1) as pool:
@@ -143,9 +144,10 @@ def main() -> None:
     pd.set_option("display.width", 250)
     print(f"\nmean over seeds\n{table.mean().round(4).to_string()}")
     if arguments.seeds > 1:
-        print(f"\nstandard deviation over seeds\n{table[list(SEEN_METRICS)].std().dropna().round(5).to_string()}")
-    for name, dataset in datasets.items():
-        best = score(FrequencyModel(dataset.triples("train")), dataset.triples("test"))["best_log_loss"]
+        measured = [name for name in records[0] if name.startswith(("unseen", *SEEN_METRICS))]
+        print(f"\nstandard deviation over seeds\n{table[measured].std().dropna().round(5).to_string()}")
+    for name, triples in data.items():
+        best = score(FrequencyModel(triples["train"]), triples["test"])["best_log_loss"]
         print(f"lowest log loss possible on the {name} test homes: {best:.4f}")
 
 

@@ -29,7 +29,6 @@ except ImportError as error:
     raise SystemExit("pomdp-py is needed for this comparison: pip install pomdp-py") from error
 
 WORLDS = 1000
-MAX_TRIES = 1000
 MANY_SAMPLES = 10**8
 MANY_NODES = 10**6
 
@@ -114,17 +113,20 @@ class Domain:
         """States drawn from the belief, in which every object is somewhere."""
         probs = self.problem.presence_prob.copy()
         probs[[container for container in range(len(probs)) if container not in self.reachable]] = 0.0
+        known = self.problem.found()
+        there = np.zeros((WORLDS, *probs.shape), dtype=bool)
+        for obj in range(probs.shape[1]):
+            # Container by container, each given that an object not yet drawn anywhere must be in one of those to come.
+            somewhere = np.full(WORLDS, known[obj])
+            for container, prob in enumerate(probs[:, obj]):
+                left = 1.0 - np.prod(1.0 - probs[container:, obj])
+                must = prob / left if left > 0 else 0.0
+                there[:, container, obj] = rng.random(WORLDS) < np.where(somewhere, prob, must)
+                somewhere |= there[:, container, obj]
         searched = frozenset(np.flatnonzero(self.problem.searched).tolist())
         bits = 1 << np.arange(probs.shape[1])
-        for _ in range(WORLDS):
-            there = rng.random(probs.shape) < probs
-            for obj in range(probs.shape[1]):
-                for _ in range(MAX_TRIES):
-                    if there[:, obj].any():
-                        break
-                    there[:, obj] = rng.random(len(probs)) < probs[:, obj]
-            holds = tuple(int(row) for row in (there * bits).sum(axis=1))
-            yield Where(-1, self.problem.state, searched, holds)
+        for holds in (there * bits).sum(axis=2).tolist():
+            yield Where(-1, self.problem.state, searched, tuple(holds))
 
 
 class Transition(pomdp_py.TransitionModel):
@@ -175,6 +177,8 @@ class Choices(pomdp_py.RolloutPolicy):
 class PomdpPy:
     """pomdp-py's POUCT as a planner of mrtask for one robot."""
 
+    knows_contents = False
+
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
 
@@ -214,7 +218,8 @@ def main() -> None:
         "greedy": make_planner("greedy"),
         "learned_myopic": make_planner("learned_myopic"),
     }
-    warm_up(*_arguments(chosen[0]), "pouct")
+    for name in ("pouct", "greedy"):
+        warm_up(*_arguments(chosen[0]), name)
     rows = []
     for trial in chosen:
         for name, planner in planners.items():

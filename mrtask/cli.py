@@ -19,6 +19,7 @@ STAGES = {
     "housekeep": "measures models on where people put objects that they never saw",
     "ablation": "switches between the text of the paper and its authors' code, one by one",
     "sensitivity": "draws what the planner saves against one factor of the experiment at a time",
+    "priors": "what a wrong prior costs, and what a belief that learns wins back",
     "optimality": "measures how far planners are from the best that any planner could do",
     "replay": "makes an episode to be watched, with the beliefs and the reasons",
 }

@@ -31,6 +31,7 @@ from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
 from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
+from pipeline.store.version import package_versions
 from pipeline.train import find_record
 
 
@@ -210,6 +211,7 @@ def _manifest(
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,
         machine=machine,
+        packages=package_versions(),
         peak_memory_mb=round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,
         started=started.isoformat(timespec="seconds"),
         wall_s=round(wall_s, 1),

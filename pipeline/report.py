@@ -1,4 +1,6 @@
-"""Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network, and ``table.csv``.
+"""Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network.
+
+Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as PDF and SVG.
 
 On the output_dir of a sweep it compares the sweep's cells.
 """
@@ -13,7 +15,10 @@ from typing import Any
 import pandas as pd
 
 from mrtask.analysis.curves import BUDGET
+from mrtask.analysis.published import load_published
+from mrtask.analysis.real_world import APARTMENTS, scenario_name, simulated_trial
 from mrtask.analysis.report import TrialsToDraw, render_report, trials_to_draw, write_report
+from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
@@ -23,11 +28,23 @@ from pipeline.base.config import Config, Tracking, UserError, content_hash
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
-from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, OPTIMALITY, REPORT, REPORT_INDEX, REPORT_KEY, STAGES
+from pipeline.store.layout import (
+    EPISODES,
+    IDENTITY,
+    MANIFEST,
+    OPTIMALITY,
+    REPORT,
+    REPORT_INDEX,
+    REPORT_KEY,
+    SCENARIO,
+    STAGES,
+)
 from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, RunIdentity, StageTimes
 from pipeline.store.rows import read_csv, read_episodes, read_traces
 from pipeline.store.version import source_hash
 
+TABLE_ARTIFACT = "table.json"
+"""In MLflow, whose page on several runs shows it side by side."""
 JUDGED_COLUMNS = ["trial_id", "planner", "status", "cost_s"]
 
 
@@ -87,11 +104,12 @@ def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Fol
         console.skipped(target / REPORT_INDEX)
         return target
     with tempfile.TemporaryDirectory() as temporary:
-        _render(collected, Path(temporary))
+        table = _render(collected, Path(temporary))
         target.upload(Path(temporary))
         store = tracking.open_tracking(registry.uri, registry.experiment_name)
         kept_with = tracking.Run(store, run_id or collected.manifest.run_id)
         tracking.log_artifact(kept_with, Path(temporary), REPORT)
+        tracking.log_table(kept_with, table, TABLE_ARTIFACT)
     key.write(target, REPORT_KEY)
     console.result(target / REPORT_INDEX, time.monotonic() - began_s)
     return target
@@ -107,7 +125,8 @@ def collect(folder: Folder) -> Collected:
     if cells:
         frames = [_episodes(cell, manifest).assign(sweep=manifest.sweep) for cell, manifest in cells]
         expected = sum(manifest.expected_episodes for _, manifest in cells)
-        facts = cells[-1][1].facts() | {"output_dir": folder.location, "expected_episodes": expected}
+        of_sweep = {"output_dir": folder.location, "expected_episodes": expected}
+        facts = cells[-1][1].facts() | of_sweep | {APARTMENTS: _apartments(folder)}
         return Collected(cells, pd.concat(frames, ignore_index=True), facts, read_csv(folder, OPTIMALITY))
     of_run = _finished([folder])
     if not of_run:
@@ -116,6 +135,7 @@ def collect(folder: Folder) -> Collected:
         )
     [(_, manifest)] = of_run
     facts_of_run = manifest.facts(StageTimes.find(folder, STAGES)) | _asked(folder)
+    facts_of_run |= {APARTMENTS: _apartments(folder)}
     return Collected(of_run, _episodes(folder, manifest), facts_of_run, read_csv(folder, OPTIMALITY))
 
 
@@ -145,12 +165,35 @@ def _episodes(folder: Folder, manifest: EvaluationManifest) -> pd.DataFrame:
     return rows.assign(**{BUDGET: rows["planner"].map(budgets).astype("float64")})
 
 
-def _render(collected: Collected, target: Path) -> None:
-    """Writes the report's files, with those episodes drawn that show most."""
+def _apartments(folder: Folder) -> dict[str, dict[str, Any]]:
+    """Apartment -> planner -> what ``pipeline.scenario`` left of the paper's trial there.
+
+    Raises:
+        UserError: a file of these is damaged.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for trial in load_published().real_world:
+        traces = folder / SCENARIO / scenario_name(trial) / "traces"
+        for name in traces.names():
+            try:
+                trace = Trace.from_json((traces.read(name) or b"").decode())
+            except (ValueError, KeyError, TypeError) as error:
+                raise UserError(
+                    f"{traces / name} is no trace of an episode ({error}); remove it, or run python -m "
+                    f"pipeline.scenario name={scenario_name(trial)} output_dir={folder / SCENARIO} again"
+                ) from error
+            found.setdefault(trial.name, {})[name.removesuffix(".json")] = simulated_trial(trial, trace).as_dict()
+    return found
+
+
+def _render(collected: Collected, target: Path) -> pd.DataFrame:
+    """Writes the report's files, with those episodes drawn that show most, and returns its table for machines."""
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
-    write_report(render_report(episodes, collected.facts, drawn, collected.optimality), target)
+    rendered = render_report(episodes, collected.facts, drawn, collected.optimality)
+    write_report(rendered, target)
+    return rendered.table
 
 
 def _digest(episodes: pd.DataFrame) -> str:

@@ -13,6 +13,7 @@ from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.base import console
 from pipeline.base.config import Config
+from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import check
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import REPORT_INDEX, STAGES
@@ -36,9 +37,13 @@ def run(config: Config, session: Session) -> None:
     train.check(config.model, config.trainer)
     folder = Folder(config.output_dir)
     with locked(folder, config.cache_dir):
-        home_set = timed("homes", lambda: homes.run(config, session))
-        rows = timed("dataset", lambda: dataset.build(home_set, config.datasets_dir, session.pool))
-        timed("train", lambda: train.train_on(rows, config))
+        planners = config.evaluation.planners
+        with compiled_meanwhile(
+            {name: (config.planner_behind(name), config.planner_options(name)) for name in planners}
+        ):
+            home_set = timed("homes", lambda: homes.run(config, session))
+            rows = timed("dataset", lambda: dataset.build(home_set, config.datasets_dir, session.pool))
+            timed("train", lambda: train.train_on(rows, config))
         store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
         model = evaluate.load_model(config, store)
         timed("evaluate", lambda: evaluate.evaluate(config, session, home_set, store, model))

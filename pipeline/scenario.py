@@ -13,11 +13,10 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from math import dist
 from statistics import fmean
 
 from mrtask.analysis.published import RealWorldTrial, load_published
+from mrtask.analysis.real_world import driven_m
 from mrtask.analysis.replay import Episode, Recorder, make_replay
 from mrtask.analysis.replay_page import render_replay
 from mrtask.analysis.style import planner_label
@@ -109,7 +108,7 @@ def likelihoods(scenario: Scenario) -> list[str]:
 
 def metres(result: EpisodeResult) -> tuple[float, float]:
     """How far the robot that drove longest had driven when the task was done, and all robots together."""
-    each = [sum(dist(*ends) for leg in legs for ends in pairwise(leg.path)) for legs in result.trace.robots]
+    each = driven_m(result.trace)
     return max(each), sum(each)
 
 

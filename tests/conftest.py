@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,32 @@ from mrtask.homes.procthor import parse_house
 from mrtask.maps.home_map import HomeMap, build_map
 
 _generate_once = functools.cache(generated.generate_home)
+RAY_SESSIONS = 2
 SHARED_HOMES = Path(__file__).resolve().parents[2] / "shared" / "homes"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where several processes share the tests, each of two has a Ray session and a finished experiment of its own.
+
+    Of the other tests those of one file stay together. The longest come first.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    files = sorted({_file(item) for item in items if _needs_ray(item)})
+    for item in items:
+        together = f"ray-{files.index(_file(item)) % RAY_SESSIONS}" if _needs_ray(item) else _file(item)
+        item.add_marker(pytest.mark.xdist_group(together))
+    items.sort(key=lambda item: not _needs_ray(item))
+
+
+def _file(item: pytest.Item) -> str:
+    return item.nodeid.partition("::")[0]
+
+
+def _needs_ray(item: pytest.Item) -> bool:
+    return "ray_session" in getattr(item, "fixturenames", ())
+
 
 ASSETS: AssetDatabase = {
     "Fridge_1": Asset("Fridge", Size(0.8, 1.8, 0.6)),

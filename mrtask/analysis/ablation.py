@@ -18,7 +18,6 @@ from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import Findings
 from mrtask.analysis.published import Cell, Published, load_published
 from mrtask.analysis.statistics import (
-    ALL_TEAMS,
     BASELINES,
     EVERYTHING,
     INFORMED_BASELINE,
@@ -29,7 +28,7 @@ from mrtask.analysis.statistics import (
     summarise,
 )
 from mrtask.analysis.style import NOTHING, counted, planner_label
-from mrtask.analysis.tables import ABOVE, BELOW, LEVEL, improvement_entry, percent_entry
+from mrtask.analysis.tables import ABOVE, BELOW, LEVEL, cell_headings, improvement_entry, percent_entry
 from mrtask.analysis.templating import render_fragment, script_digest
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planners_with_role
 
@@ -158,7 +157,7 @@ def verdict_table(arms: Sequence[_Arm], published: Published, planner: str) -> T
             entries = [improvement_entry(arm.summary, published, cell, planner, baseline) for cell in cells]
             entries.append(percent_entry(arm.summary.improvement(EVERYTHING, planner, baseline)))
             rows.append(Row(arm.rows.name, (Entry(_counts(arm, published, planner, [baseline])), *entries)))
-    headings = (("", f"{ABOVE} {LEVEL} {BELOW}"), *_cell_headings(cells), ("all", "all teams"))
+    headings = (("", f"{ABOVE} {LEVEL} {BELOW}"), *cell_headings(cells), ("all", "all teams"))
     return Table(headings, tuple(rows)) if cells else None
 
 
@@ -178,7 +177,7 @@ def step_table(steps: Sequence[_Arm]) -> Table | None:
     rows = [Row(title, heading=True), *(row(after[0], after, before) for before, after in pairwise(chain))]
     rows.append(Row(f"Saved by {OUR_PLANNER} against each step", heading=True))
     rows += [row(step[0], chain[-1], step) for step in chain[:-1]]
-    return Table((*_cell_headings(cells[:-1]), ("all", "all teams")), tuple(rows))
+    return Table((*cell_headings(cells[:-1]), ("all", "all teams")), tuple(rows))
 
 
 def template_table(arms: Sequence[_Arm]) -> Table | None:
@@ -217,10 +216,6 @@ def waiting_table(arms: Sequence[_Arm]) -> Table | None:
 
 def _waiting_heading(index: int, robots: int) -> str:
     return "waits least" if index == 0 else "waits most" if index == robots - 1 else f"{index + 1}."
-
-
-def _cell_headings(cells: Sequence[Cell]) -> tuple[tuple[str, str], ...]:
-    return tuple((name, counted(robots, "robot") if robots != ALL_TEAMS else "all teams") for name, robots in cells)
 
 
 def _costs(arm: _Arm, planner: str, cell: Cell = EVERYTHING) -> pd.Series:

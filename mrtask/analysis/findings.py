@@ -16,6 +16,7 @@ from mrtask.analysis.statistics import (
     INFORMED_BASELINE,
     MIN_TRIALS_FOR_INTERVAL,
     REFERENCES,
+    Cell,
     Estimate,
     Summary,
     cell_name,
@@ -25,6 +26,9 @@ from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 MIN_PAIRS = 30
 """With fewer trials the interval of a cell says little."""
+MAX_NAMED_CELLS = 3
+MIN_FINISHED_SHARE = 0.95
+"""A planner that finished a smaller share of its episodes is named."""
 FALLBACK_ROLES = (Role.REFERENCE, Role.BASELINE, Role.BOUND)
 """What the report is about where none of our planners ran."""
 SINGLE_VALUED = ("config_hash", "code_version", "model_version")
@@ -62,7 +66,7 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
     against = [b for b in BASELINES if b != planner and (EVERYTHING, planner, b) in summary.comparisons]
     pooled = {b: summary.comparisons[EVERYTHING, planner, b].improvement for b in against}
     shown = {b: estimate for b, estimate in pooled.items() if estimate.defined}
-    warnings = _warnings(summary, planner)
+    warnings = (*partial_results(summary), *_warnings(summary, planner))
     if not shown:
         reason = (
             "no trial was finished by both it and a baseline"
@@ -77,6 +81,31 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
     sentences += _published_sentences(summary, published, planner, list(shown))
     sentences += _reference_sentences(summary, planner)
     return Findings(_verdict(list(shown.values())), headline, tuple(sentences), warnings)
+
+
+def partial_results(summary: Summary) -> tuple[str, ...]:
+    """What a reader misses: planners that finished little or nothing, cells that they did not run, a single trial."""
+    warnings = []
+    for name in summary.planners:
+        whole, label = summary.planner_cells[EVERYTHING, name], planner_label(name)
+        ran = {cell: found for cell in summary.cells if (found := summary.planner_cells.get((cell, name)))}
+        emptied = [cell for cell, found in ran.items() if not found.accepted]
+        finished = f"{label} finished {whole.accepted} of {counted(whole.episodes, 'episode')}"
+        if not whole.accepted:
+            warnings.append(f"{label} finished none of its {counted(whole.episodes, 'episode')}: it has no mean cost.")
+        elif emptied:
+            warnings.append(f"{finished} and none in {_named(emptied)}: means over all cells leave these out.")
+        elif whole.accepted < MIN_FINISHED_SHARE * whole.episodes:
+            warnings.append(f"{finished}: the others are in no mean.")
+        if absent := [cell for cell in summary.cells if cell not in ran]:
+            warnings.append(f"{label} did not run in {_named(absent)}: it is compared on fewer trials.")
+    if all(summary.planner_cells[EVERYTHING, name].episodes == 1 for name in summary.planners):
+        warnings.append("There is a single trial: it shows what happened once, not what to expect.")
+    return tuple(warnings)
+
+
+def _named(cells: Sequence[Cell]) -> str:
+    return "; ".join(map(cell_name, cells)) if len(cells) <= MAX_NAMED_CELLS else f"{len(cells)} cells"
 
 
 def mixture_warnings(episodes: pd.DataFrame) -> list[str]:

@@ -34,6 +34,12 @@ class RealWorldTrial:
 class Published:
     """The paper's figures: costs in grid cells of 0.05 m, improvements in percent."""
 
+    authors: tuple[str, ...]
+    """``Family, Given`` of each."""
+    title: str
+    booktitle: str
+    year: int
+    arxiv: str
     citation: str
     url: str
     cost_cells: Mapping[tuple[str, Cell], float]
@@ -78,6 +84,11 @@ def load_published() -> Published:
         }
 
     return Published(
+        authors=tuple(source["names"]),
+        title=source["title"],
+        booktitle=source["booktitle"],
+        year=source["year"],
+        arxiv=source["arxiv"],
         citation=f"{source['authors']}: {source['title']}. {source['venue']}, arXiv {source['arxiv']}",
         url=f"https://arxiv.org/abs/{source['arxiv']}",
         cost_cells=table("cost_cells"),

@@ -1,11 +1,11 @@
-"""The report: one ``index.html`` that holds everything it shows and needs no network, and ``table.csv`` beside it.
+"""The report: one ``index.html`` that holds everything it shows and needs no network, and files for others beside it.
 
 It opens with the answer, in words computed from the data; the sections below are listed in `mrtask.analysis.sections`.
+Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
 """
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +13,20 @@ import pandas as pd
 from markupsafe import Markup
 
 from mrtask.analysis.episodes import checked_episodes
+from mrtask.analysis.exhibits import Content
 from mrtask.analysis.findings import main_planner
-from mrtask.analysis.replay import Episode, make_replay
-from mrtask.analysis.replay_page import render_replay
+from mrtask.analysis.for_papers import paper_files
 from mrtask.analysis.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.result_table import result_table
-from mrtask.analysis.sections import SECTIONS
+from mrtask.analysis.sections import SECTIONS, Section
 from mrtask.analysis.style import planner_label
 from mrtask.analysis.templating import render_fragment, script_digest, template_text
-from mrtask.analysis.trajectories import task_objects
-from mrtask.analysis.trial_browser import compared_planners, mapped_trials, notable_trials
-from mrtask.execution.trace import Trace
+from mrtask.analysis.trial_browser import compared_planners, mapped_trials
 from mrtask.files import replacing
 from mrtask.homes.home import Home
-from mrtask.tasks.automaton import build_automaton
+from mrtask.planning.planners import PAPERS_PLANNER
 
-REPORT_FILE, TABLE_FILE, REPLAYS = "index.html", "table.csv", "replays"
-SAFE_NAME = re.compile(r"[\w-]+")
-"""Trial ids that can name a file."""
+REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
 
 
 @dataclass(frozen=True)
@@ -47,9 +43,10 @@ class Report:
     """The content of the files."""
 
     page: str
-    table: str
-    extras: Mapping[str, str] = field(default_factory=dict)
-    """Relative path -> content of what stands beside the page: ``replays/<trial>.html``."""
+    table: pd.DataFrame
+    """What `mrtask.analysis.result_table.result_table` has."""
+    extras: Mapping[str, bytes] = field(default_factory=dict)
+    """Relative path -> content of what lies beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
 
 
 def render_report(
@@ -72,52 +69,12 @@ def render_report(
         ValueError: a column is missing, or the episodes contradict each other.
     """
     data = collect_report_data(episodes, manifest, homes, optimality)
-    replays, unplayable = replays_of(data)
-    links = {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in replays}
-    data = replace(data, replays=links, unplayable=tuple(unplayable))
-    table = result_table(data.summaries, data.published)
+    contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
     return Report(
-        render_page(data),
-        table.to_csv(index=False, float_format="%.6g", lineterminator="\n"),
-        {data.replays[trial_id]: page for trial_id, page in replays.items()},
-    )
-
-
-def replays_of(data: ReportData) -> tuple[dict[str, str], list[str]]:
-    """Trial id -> page, for the notable trials whose home and traces are there. Reasons would take a run.
-
-    Also why any of them cannot be played: their rows hold a formula, or name an object or container, that is none.
-    """
-    if not {"trace", "template", "formula", "objects"} <= set(data.rows.columns):
-        return {}, []
-    pages, unplayable = {}, []
-    for pick in notable_trials(data.rows, data.planner):
-        home = data.homes.get(pick.home_id)
-        rows = data.rows[(data.rows["trial_id"] == pick.trial_id) & data.rows["trace"].notna()]
-        shown = [name for name in compared_planners(data.rows, data.planner) if name in set(rows["planner"])]
-        if home is None or not shown or not SAFE_NAME.fullmatch(pick.trial_id):
-            continue
-        by_planner = {row["planner"]: row for row in rows.to_dict("records")}
-        first = by_planner[shown[0]]
-        try:
-            automaton = build_automaton(first["formula"], task_objects(first["objects"]))
-            played = [_episode(by_planner[name]) for name in shown]
-            replay = make_replay(pick.trial_id, first["size_class"], first["template"], automaton, home, played)
-        except ValueError as error:
-            unplayable.append(f"Trial {pick.trial_id} cannot be replayed: {error}")
-            continue
-        pages[pick.trial_id] = render_replay(replay)
-    return pages, unplayable
-
-
-def _episode(row: Mapping[Any, Any]) -> Episode:
-    accepted = row["status"] == "accepted"
-    return Episode(
-        planner=row["planner"],
-        status=row["status"],
-        cost_s=row["cost_s"] if accepted else None,
-        error=None if accepted else str(row.get("error") or ""),
-        trace=Trace.from_json(row["trace"]),
+        render_page(data, contents),
+        result_table(data.summaries, data.published),
+        {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
+        | paper_files(list(contents.values())),
     )
 
 
@@ -129,21 +86,26 @@ def write_report(report: Report, out_dir: Path) -> Path:
     Raises:
         OSError: a file cannot be written.
     """
-    for name, text in (*report.extras.items(), (TABLE_FILE, report.table), (REPORT_FILE, report.page)):
-        (out_dir / name).parent.mkdir(parents=True, exist_ok=True)
+    table = report.table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (REPORT_FILE, report.page.encode())):
         with replacing(out_dir / name) as path:
-            path.write_text(text, encoding="utf-8", newline="\n")
+            path.write_bytes(content)
     return out_dir / REPORT_FILE
 
 
-def render_page(data: ReportData) -> str:
-    """The HTML page: the answer, then all sections that have something to show."""
+def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
+    """The HTML page: the answer, then the sections."""
     experiment = data.manifest.get("experiment")
-    sections = []
-    for section in SECTIONS:
-        body = section.fragment(data)
-        if body is not None:
-            sections.append({"anchor": section.anchor, "link": section.link, "title": section.title, "body": body})
+    sections = [
+        {
+            "anchor": section.anchor,
+            "link": section.link,
+            "title": section.title,
+            "body": content.html,
+            "in_short": content.in_short,
+        }
+        for section, content in contents.items()
+    ]
     script = template_text("report.js")
     return render_fragment(
         "page",
@@ -169,7 +131,9 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Trial
         return TrialsToDraw(frozenset(), frozenset(), ())
     trials = mapped_trials(rows, planner)
     homes = rows.loc[rows["trial_id"].isin(trials), "home_id"].dropna().astype(str)
-    return TrialsToDraw(frozenset(trials), frozenset(homes), compared_planners(rows, planner))
+    papers = [PAPERS_PLANNER] if (rows["planner"] == PAPERS_PLANNER).any() else []
+    planners = dict.fromkeys((*compared_planners(rows, planner), *papers))
+    return TrialsToDraw(frozenset(trials), frozenset(homes), tuple(planners))
 
 
 def _question(planner: str | None) -> str:

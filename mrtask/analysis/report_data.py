@@ -1,18 +1,28 @@
 """What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import pandas as pd
 
+from mrtask.analysis.coordination import Coordination, coordination
 from mrtask.analysis.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.facts import Manifest, ModelFacts, missing_episodes, model_facts
 from mrtask.analysis.findings import Findings, find, main_planner, mixture_warnings
 from mrtask.analysis.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.published import Published, load_published
+from mrtask.analysis.replays import Replays, play
 from mrtask.analysis.statistics import Summary, summarise
+from mrtask.analysis.trajectories import Pick
+from mrtask.analysis.trial_browser import compared_planners, notable_trials
 from mrtask.homes.home import Home
+from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
+
+REPLAYS = "replays"
+SAFE_NAME = re.compile(r"[\w-]+")
+"""Trial ids that can name a file."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +39,6 @@ class ReportData:
     published: Published
     optimality: Sequence[CellOptimality] = ()
     """How far planners are from optimal, where that was measured."""
-    replays: Mapping[str, str] = field(default_factory=dict)
-    """Trial id -> the page of its replay, of the notable trials."""
-    unplayable: tuple[str, ...] = ()
-    """Why some of the notable trials have none."""
 
     @property
     def shown(self) -> Variant:
@@ -54,6 +60,43 @@ class ReportData:
         """The planner that the report is about; None without episodes."""
         return main_planner(self.summary.planners, self.manifest.get("main_planner"))
 
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """The planners that the paper's claims are judged on: the paper's, and the main one if it is under study."""
+        main = self.planner
+        ours = main is not None and main != PAPERS_PLANNER and planner_role(main) is Role.OURS
+        return (PAPERS_PLANNER, main) if main is not None and ours else (PAPERS_PLANNER,)
+
+    @cached_property
+    def coordination(self) -> dict[str, Coordination]:
+        """Of the planners judged, those whose traces can show whether robots wait and go on."""
+        found = {name: coordination(self.rows, name) for name in self.judged}
+        return {name: one for name, one in found.items() if one is not None}
+
+    @cached_property
+    def picks(self) -> list[Pick]:
+        """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
+        picks = notable_trials(self.rows, self.planner)
+        shown = self.coordination.get(self.planner or "")
+        if shown is None or "home_id" not in self.rows.columns:
+            return picks
+        home_of = dict(zip(self.rows["trial_id"], self.rows["home_id"].astype(str), strict=True))
+        for what, trials in (("a robot waits", shown.waits), ("a robot goes on", shown.goes_on)):
+            picked = {pick.trial_id for pick in picks}
+            picks += [Pick(trial, home_of[trial], what) for trial in trials if trial not in picked][:1]
+        return picks
+
+    @cached_property
+    def played(self) -> Replays:
+        """The replays of the picks."""
+        picks = [pick for pick in self.picks if SAFE_NAME.fullmatch(pick.trial_id)]
+        return play(self.rows, compared_planners(self.rows, self.planner), picks, self.homes)
+
+    @property
+    def replays(self) -> dict[str, str]:
+        """Trial id -> the page of its replay, beside the report."""
+        return {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in self.played.pages}
+
     @cached_property
     def findings(self) -> Findings:
         """The answer for the variant shown."""
@@ -69,7 +112,7 @@ class ReportData:
         """Everything that a reader should know before trusting the answer."""
         of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
         warnings = [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
-        return [*warnings, *self.unplayable]
+        return [*warnings, *self.played.unplayable]
 
 
 def collect_report_data(

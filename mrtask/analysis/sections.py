@@ -1,27 +1,29 @@
 """The sections of the report, one function each.
 
-To add a section, write a function from `ReportData` to an HTML fragment and list it in `SECTIONS`; the page and its
-navigation follow. A fragment is usually a template of its own, which lays out tables (`mrtask.analysis.columns.Table`)
-and pictures with the macros of ``parts.html.jinja``.
+To add a section, write a function from `ReportData` to a `Content` and list it in `SECTIONS`; the page and its
+navigation follow, and so do the files for papers of the tables and pictures that the content names. Its HTML is usually
+a template of its own, which lays out tables and pictures with the macros of ``parts.html.jinja``.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
-from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from mrtask.analysis import curves, facts, figures, gap, tables
-from mrtask.analysis.columns import Table
+from mrtask.analysis import charts, curves, facts, figures, gap, profiles, tables
+from mrtask.analysis.breakdown import results_by_template, template_table
+from mrtask.analysis.claims import claims_table, count_verdicts, judge_claims
+from mrtask.analysis.columns import Entry, Row, Table
+from mrtask.analysis.exhibits import Content, Picture, ShownTable
 from mrtask.analysis.findings import Findings, find, main_planner
+from mrtask.analysis.methods import bibtex, methods_latex, methods_markdown, methods_sentences
 from mrtask.analysis.replay import task_in_words
 from mrtask.analysis.report_data import ReportData
 from mrtask.analysis.result_table import planner_table
-from mrtask.analysis.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, RULE
-from mrtask.analysis.style import NOTHING, counted, data_uri, planner_label, robot_color
+from mrtask.analysis.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES
+from mrtask.analysis.style import NOTHING, planner_label, robot_color
 from mrtask.analysis.templating import render_fragment
-from mrtask.analysis.trajectories import baseline_beside, draw_trial, instructive_trials, task_objects
+from mrtask.analysis.trajectories import task_objects
 from mrtask.analysis.trial_browser import (
     PLOT_BOTTOM,
     PLOT_LEFT,
@@ -29,9 +31,9 @@ from mrtask.analysis.trial_browser import (
     PLOT_SIZE,
     TrialBrowser,
     browse_trials,
-    notable_trials,
     place,
 )
+from mrtask.analysis.wins import pair_table
 
 
 @dataclass(frozen=True)
@@ -42,80 +44,126 @@ class Section:
     link: str
     """The entry in the navigation."""
     title: str
-    fragment: Callable[[ReportData], Markup | None]
-    """Makes the HTML below the heading; None leaves the section out."""
+    content: Callable[[ReportData], Content | None]
+    """Makes what stands below the heading; None leaves the section out."""
 
 
-@dataclass(frozen=True)
-class Picture:
-    """An embedded figure with its caption, which is also its text for those who cannot see it."""
+def _content(template: str, exhibits: Sequence[ShownTable | Picture] = (), **values: object) -> Content:
+    """A section from its template, which sees its tables and pictures as ``tables`` and ``pictures``."""
+    shown_tables = [each for each in exhibits if isinstance(each, ShownTable)]
+    pictures = [each for each in exhibits if isinstance(each, Picture)]
+    html = render_fragment(template, tables={each.name: each for each in shown_tables}, pictures=pictures, **values)
+    return Content(html, shown_tables, pictures)
 
-    uri: str
-    title: str
-    caption: str
+
+def _table(name: str, title: str, table: Table | None, corner: str, wide: bool = False) -> list[ShownTable]:
+    """The table under its name, where there is one."""
+    return [ShownTable(name, title, table, corner, wide)] if table is not None else []
 
 
-def paper_table_section(data: ReportData) -> Markup:
+def paper_table_section(data: ReportData) -> Content:
     """The paper's table with our results in it."""
-    return render_fragment(
+    table = tables.paper_table(data.summary, data.published, data.planner)
+    return _content(
         "paper_table",
-        paper_table=tables.paper_table(data.summary, data.published, data.planner),
+        _table("paper", "Mean costs and improvements by home size and team size", table, "planner", wide=True),
         marks={"above": tables.ABOVE, "below": tables.BELOW, "level": tables.LEVEL},
     )
 
 
-def variants_section(data: ReportData) -> Markup | None:
+def variants_section(data: ReportData) -> Content | None:
     """The variants of a sweep side by side, and each one's own answer."""
     if len(data.summaries) < 2:
         return None
+    found = _variant_findings(data)
     sample_curves = curves.sample_curves(data.episodes, data.planner)
-    return render_fragment(
+    side_by_side = tables.variant_table(data.summaries, data.planner)
+    return _content(
         "variants",
-        by_variant=tables.variant_table(data.summaries, data.planner),
-        samples_picture=_picture(
-            curves.draw_sample_curves(sample_curves) if sample_curves else None,
-            "Cost against samples",
-            "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same trials "
-            "paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: planners "
-            "that take no samples.",
-        ),
-        variant_picture=_picture(
-            figures.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
-            "Improvement by variant",
-            "All team sizes together, 95 % paired bootstrap intervals.",
-        ),
-        findings=_variant_findings(data),
+        [
+            *_table("variants", "The variants of the sweep", side_by_side, "variant"),
+            *(shown for _, shown in found.values()),
+            *charts.picture(
+                "samples",
+                curves.draw_sample_curves(sample_curves) if sample_curves else None,
+                "Cost against samples",
+                "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same "
+                "trials paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: "
+                "planners that take no samples.",
+            ),
+            *charts.picture(
+                "variants",
+                figures.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
+                "Improvement by variant",
+                "All team sizes together, 95 % paired bootstrap intervals.",
+            ),
+        ],
+        findings=found,
     )
 
 
-def figures_section(data: ReportData) -> Markup:
+def figures_section(data: ReportData) -> Content:
     """The charts."""
-    return render_fragment("figures", pictures=_charts(data))
+    return _content("figures", charts.overview_charts(data))
 
 
-def trajectories_section(data: ReportData) -> Markup | None:
+def templates_section(data: ReportData) -> Content | None:
+    """Each form of task by itself; None where the rows name no templates."""
+    results = results_by_template(data.rows, data.planner)
+    if data.planner is None or not results:
+        return None
+    title = f"{planner_label(data.planner)} by template"
+    return _content(
+        "templates",
+        [
+            *charts.template_chart(results, data.planner),
+            *_table("templates", title, template_table(results), "template"),
+        ],
+    )
+
+
+def wins_section(data: ReportData) -> Content | None:
+    """How often the planner is sooner than each other; None where it is compared with none."""
+    pairs = pair_table(data.summary, data.planner)
+    if data.planner is None or pairs is None:
+        return None
+    title = f"{planner_label(data.planner)} against each of the others, cell by cell"
+    return _content(
+        "wins",
+        [*charts.wins_chart(data), *_table("wins", title, pairs, "cell")],
+        planner=planner_label(data.planner),
+    )
+
+
+def distribution_section(data: ReportData) -> Content | None:
+    """The whole distribution of costs; None where nothing was finished."""
+    ratios = profiles.cost_ratios(data.rows)
+    pictures = charts.distribution_charts(data, ratios)
+    if not pictures:
+        return None
+    title = "The share of trials in which each planner is the cheapest, or nearly"
+    return _content(
+        "distribution",
+        [*pictures, *_table("profile", title, profiles.profile_table(ratios), "planner")],
+        trials=len(ratios.ratios) if ratios else 0,
+    )
+
+
+def trajectories_section(data: ReportData) -> Content | None:
     """Some episodes, drawn; None where none can be."""
-    pictures = _trajectories(data)
-    return render_fragment("trajectories", pictures=pictures) if pictures else None
+    pictures = charts.trajectories(data)
+    return _content("trajectories", pictures) if pictures else None
 
 
-def trials_section(data: ReportData) -> Markup | None:
+def trials_section(data: ReportData) -> Content | None:
     """Every trial as a point that leads to it, and the trials worth a look; None without episodes."""
     browser = browse_trials(data.rows, data.planner, data.homes, data.replays)
     if browser is None:
         return None
-    notable = [
-        {
-            "pick": pick,
-            "task": _task(data.rows, pick.trial_id),
-            "outcomes": _outcomes(data.rows, pick.trial_id, browser),
-        }
-        for pick in notable_trials(data.rows, data.planner)
-    ]
-    return render_fragment(
+    return _content(
         "trials",
+        _table("notable", "Trials worth a look", _notable_table(data, browser), "trial"),
         browser=browser,
-        notable=notable,
         replays=data.replays,
         place=place,
         plot={"size": PLOT_SIZE, "left": PLOT_LEFT, "bottom": PLOT_SIZE - PLOT_BOTTOM, "pad": PLOT_PAD},
@@ -124,81 +172,109 @@ def trials_section(data: ReportData) -> Markup | None:
     )
 
 
-def planners_section(data: ReportData) -> Markup:
-    """All planners over all episodes, and the main one against each reference."""
-    return render_fragment(
-        "planners",
-        planner=planner_label(data.planner) if data.planner else None,
-        planner_table=planner_table(data.summary, data.published),
-        pair_table=tables.pair_table(data.summary, data.planner),
-    )
+def planners_section(data: ReportData) -> Content:
+    """All planners over all episodes."""
+    table = planner_table(data.summary, data.published)
+    return _content("planners", _table("planners", "All planners over all episodes", table, "planner"))
 
 
-def optimality_section(data: ReportData) -> Markup | None:
+def optimality_section(data: ReportData) -> Content | None:
     """How far planners are from the best that any planner can reach; None where it was not measured."""
     if not data.optimality:
         return None
-    return render_fragment("optimality", table=tables.optimality_table(data.optimality))
+    table = tables.optimality_table(data.optimality)
+    return _content("optimality", _table("optimality", "How far planners are from optimal", table, "cell"))
 
 
-def gap_section(data: ReportData) -> Markup | None:
+def gap_section(data: ReportData) -> Content | None:
     """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
     ladder = gap.find_ladder(data.manifest, data.summary.planners)
     if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
         return None
-    return render_fragment(
+    title = "What the gap is made of"
+    caption = "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back."
+    return _content(
         "gap",
+        [
+            *charts.picture("gap", gap.draw_gaps(gaps), title, caption),
+            *_table("gap", title, gap.gap_table(gaps), "planner", wide=True),
+        ],
         truth=planner_label(ladder.truth),
         model=planner_label(ladder.model),
         counted=data.manifest.get("true_likelihoods") == "counted",
         certified=any(one.certified for one in gaps),
         sentences=gap.gap_sentences(gaps),
-        picture=_picture(
-            gap.draw_gaps(gaps),
-            "What the gap is made of",
-            "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back.",
-        ),
-        table=gap.gap_table(gaps),
     )
 
 
-def model_section(data: ReportData) -> Markup:
+def model_section(data: ReportData) -> Content:
     """What the likelihood model is and how good."""
-    return render_fragment("model", model=data.model)
+    title = "The likelihood model on homes held back from training"
+    return _content("model", _table("model", title, data.model.metrics, "metric"), model=data.model)
 
 
-def homes_section(data: ReportData) -> Markup:
+def homes_section(data: ReportData) -> Content:
     """Where the homes come from."""
-    return render_fragment("homes", facts=facts.homes_facts(data.manifest, data.episodes))
+    return _content("homes", facts=facts.homes_facts(data.manifest, data.episodes))
 
 
-def run_section(data: ReportData) -> Markup:
+def run_section(data: ReportData) -> Content:
     """How the run was made, and which episodes have no result."""
-    return render_fragment(
+    return _content(
         "run",
+        _table("failures", "Episodes without a result", facts.failure_table(data.episodes), "reason"),
         facts=facts.run_facts(data.manifest, data.episodes),
-        failures=facts.failure_table(data.episodes),
         episodes=len(data.episodes),
         config=facts.config_text(data.manifest),
     )
 
 
-def method_section(data: ReportData) -> Markup:
+def method_section(data: ReportData) -> Content:
     """How the numbers are computed, and the published ones that they stand beside."""
-    return render_fragment(
+    title = "The paper's trials in real apartments"
+    return _content(
         "method",
+        _table("real-world", title, tables.real_world_table(data.published), "trial"),
         resamples=RESAMPLES,
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
         citation=data.published.citation,
         citation_url=data.published.url,
-        real_world_table=tables.real_world_table(data.published),
     )
+
+
+def papers_section(data: ReportData) -> Content:
+    """What a paper on this run needs besides tables and figures: a paragraph on methods, and citations."""
+    sentences = methods_sentences(data)
+    code_version = data.manifest.get("code_version")
+    entries = bibtex(data.published, str(code_version) if code_version else None)
+    files = {
+        "methods.tex": methods_latex(sentences),
+        "methods.md": methods_markdown(sentences),
+        "references.bib": entries,
+    }
+    html = render_fragment("papers", methods=" ".join(sentences), bibtex=entries, files=tuple(files))
+    return Content(html, files=files)
+
+
+def claims_section(data: ReportData) -> Content:
+    """Each claim of the paper with a verdict and where to see it."""
+    claims = judge_claims(data)
+    content = _content(
+        "claims",
+        _table("claims", "The paper's claims, judged on this run", claims_table(claims, data.judged), "claim"),
+        claims=claims,
+    )
+    counts = "; ".join(f"{planner_label(name)}: {count_verdicts(claims, name)}" for name in data.judged)
+    return replace(content, in_short=f"{counts}.")
 
 
 SECTIONS: Sequence[Section] = (
     Section("table", "Table", "The paper's table", paper_table_section),
     Section("variants", "Variants", "The sweep's variants", variants_section),
     Section("figures", "Figures", "Figures", figures_section),
+    Section("templates", "Templates", "By template", templates_section),
+    Section("wins", "Wins", "Wins, ties, losses", wins_section),
+    Section("distribution", "Distribution", "Distribution of costs", distribution_section),
     Section("trajectories", "Trajectories", "Trajectories", trajectories_section),
     Section("trials", "Trials", "Trial by trial", trials_section),
     Section("planners", "Planners", "All planners, all episodes", planners_section),
@@ -208,80 +284,39 @@ SECTIONS: Sequence[Section] = (
     Section("homes", "Homes", "Homes", homes_section),
     Section("run", "Run", "Run", run_section),
     Section("method", "Method", "Method", method_section),
+    Section("papers", "For papers", "For papers", papers_section),
+    Section("claims", "Checklist", "Checklist of the reproduction", claims_section),
 )
 """In the order of the page."""
 
 
-def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, Table]]:
+def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, ShownTable]]:
     """Each variant's own answer and paper table, for those that are not shown in full."""
     found = {}
-    for variant, summary in data.summaries.items():
+    for number, (variant, summary) in enumerate(data.summaries.items(), 1):
         planner = data.planner if data.planner in summary.planners else main_planner(summary.planners)
-        answer = find(summary, data.published, planner)
-        found[variant] = (answer, tables.paper_table(summary, data.published, planner))
+        table = tables.paper_table(summary, data.published, planner)
+        title = f"Mean costs and improvements: {variant or 'as configured'}"
+        shown = ShownTable(f"paper-variant-{number}", title, table, "planner", wide=True)
+        found[variant] = (find(summary, data.published, planner), shown)
     return found
 
 
-def _charts(data: ReportData) -> list[Picture]:
-    rows, summary, published, planner = data.rows, data.summary, data.published, data.planner
-    drawn = [
-        _picture(
-            figures.improvements(summary, published, planner, BASELINES) if planner else None,
-            "Improvement by home size and team size",
-            "Share of the baseline's mean cost that is saved, with 95 % paired bootstrap intervals.",
-        ),
-        _picture(
-            figures.mean_costs(summary, published),
-            "Mean cost by team size",
-            "95 % bootstrap intervals. Published means (dotted, hollow) are on the paper's own homes and tasks: "
-            "compare improvements rather than costs.",
-        ),
-        _picture(
-            figures.scatter(rows, summary, planner, BASELINES) if planner else None,
-            "Planner against baseline, trial by trial",
-            "One point per trial that both finished. In the shaded half, below the line, the planner is cheaper.",
-        ),
-        _picture(
-            figures.planning_times(rows, summary.planners),
-            "Planning time per decision",
-            "Median and quartiles over episodes; whiskers from the 5th to the 95th percentile.",
-        ),
-        _picture(
-            curves.by_team(rows, planner) if planner else None,
-            "Cost and planning time by team size",
-            f"All size classes together, bands are 95 % bootstrap intervals. {_where_search_helps(data)}",
-        ),
+def _notable_table(data: ReportData, browser: TrialBrowser) -> Table | None:
+    """Why each trial is worth a look, its task, and what came of it with the planner and the baseline."""
+    rows = [
+        Row(
+            pick.trial_id,
+            (
+                Entry(pick.reason, tone="text"),
+                Entry(_task(data.rows, pick.trial_id), tone="text"),
+                *map(Entry, _outcomes(data.rows, pick.trial_id, browser)),
+            ),
+        )
+        for pick in data.picks
     ]
-    return [picture for picture in drawn if picture]
-
-
-def _where_search_helps(data: ReportData) -> str:
-    found = curves.worth_by_team(data.rows, data.planner, RULE) if data.planner else None
-    if data.planner is None or found is None:
-        return ""
-    parts = [
-        f"{how} with {', '.join(map(str, teams))}"
-        for how, teams in (("clearly sooner", found.clear), ("not clearly sooner", found.unclear))
-        if teams
-    ]
-    return f"Against {RULE}, {planner_label(data.planner)} is {' robots, '.join(parts)} robots."
-
-
-def _trajectories(data: ReportData) -> list[Picture]:
-    rows, planner = data.rows, data.planner
-    if planner is None or "trace" not in rows.columns:
-        return []
-    baseline = baseline_beside(rows["planner"], planner)
-    names = [planner] if baseline is None else [planner, baseline]
-    pictures = []
-    for pick in instructive_trials(rows, planner, baseline, data.homes.keys()):
-        trial = {row["planner"]: row for row in rows[rows["trial_id"] == pick.trial_id].to_dict("records")}
-        task = f"Task: {trial[planner]['formula']}." if "formula" in rows.columns else ""
-        figure = draw_trial(data.homes[pick.home_id], {name: trial[name] for name in names})
-        reason, team = f"{pick.reason[0].upper()}{pick.reason[1:]}", counted(trial[planner]["robots"], "robot")
-        title = f"{reason}: trial {pick.trial_id}, {team}"
-        pictures.append(Picture(data_uri(figure), title, f"{task} Home {pick.home_id}.".strip()))
-    return pictures
+    headings = ("why", "task", *map(planner_label, browser.compared))
+    return Table(tuple(("", name) for name in headings), tuple(rows)) if rows else None
 
 
 def _task(rows: pd.DataFrame, trial_id: str) -> str:
@@ -302,7 +337,3 @@ def _outcomes(rows: pd.DataFrame, trial_id: str, browser: TrialBrowser) -> list[
         row["planner"]: f"{row['cost_s']:.1f} s" if row["status"] == "accepted" else row["status"] for row in of_trial
     }
     return [found.get(name, NOTHING) for name in browser.compared]
-
-
-def _picture(figure: Figure | None, title: str, caption: str) -> Picture | None:
-    return Picture(data_uri(figure), title, caption) if figure is not None else None

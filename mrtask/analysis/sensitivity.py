@@ -15,7 +15,16 @@ from mrtask.analysis.columns import Entry, Row, Table, interval_text
 from mrtask.analysis.episodes import checked_episodes, size_classes_in_order
 from mrtask.analysis.findings import Findings
 from mrtask.analysis.statistics import BASELINES, Bootstrap, Estimate, improvement_of_means, paired_costs
-from mrtask.analysis.style import BLACK, NOTHING, data_uri, house_style, new_figure, planner_label, planner_looks
+from mrtask.analysis.style import (
+    BLACK,
+    NOTHING,
+    data_uri,
+    house_style,
+    new_figure,
+    planner_label,
+    planner_looks,
+    svg_bytes,
+)
 from mrtask.analysis.tables import percent_entry
 from mrtask.analysis.templating import render_fragment, script_digest
 from mrtask.planning.planners import Role, planners_with_role
@@ -87,7 +96,7 @@ def render_sensitivity(curves: Sequence[Curve], experiment: str) -> str:
             "body": render_fragment(
                 "sensitivity",
                 curve=curve,
-                uri=data_uri(draw_curve(curve)),
+                uri=data_uri(svg_bytes(draw_curve(curve))),
                 table=curve_table(curve),
                 planner=OUR_PLANNER,
             ),

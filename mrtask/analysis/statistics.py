@@ -182,6 +182,11 @@ class Bootstrap:
             means[first : first + rows] = times.astype(np.float64) @ self.costs / n
         return means
 
+    def resampled(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Floats:
+        """[B] the statistic of each resample; ``columns`` as in `estimate`."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return statistic(self._resampled_means[:, list(columns)])
+
     def estimate(self, statistic: Callable[[Floats], Floats], columns: Sequence[int] | None = None) -> Estimate:
         """The statistic with its BCa interval.
 
@@ -207,6 +212,21 @@ class Bootstrap:
             return Estimate(value, np.nan, np.nan, n)
         low, high = np.quantile(resampled, _bca_levels(value, resampled, left_out))
         return Estimate(value, float(low), float(high), n)
+
+
+class PairedDraws:
+    """Estimates from ``costs`` [N, P], NaN where a trial was not finished, each over the trials that count for it."""
+
+    def __init__(self, costs: Floats) -> None:
+        self.costs = costs
+        self._draws: dict[bytes, Bootstrap] = {}
+
+    def estimate(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Estimate:
+        """On the trials that all of ``columns`` finished; one draw of trials serves all statistics that share them."""
+        finished = np.isfinite(self.costs[:, list(columns)]).all(axis=1)
+        if (key := finished.tobytes()) not in self._draws:
+            self._draws[key] = Bootstrap(np.nan_to_num(self.costs[finished]))
+        return self._draws[key].estimate(statistic, columns)
 
 
 def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
@@ -302,15 +322,7 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
     planners = [name for name in summary.planners if name in table.columns]
     costs = table[planners].to_numpy()
     both_units = np.column_stack([costs, paired_costs(rows, "cost_cells")[planners].to_numpy()])
-    draws: dict[bytes, Bootstrap] = {}
-
-    def estimate(statistic: Callable[[Floats], Floats], columns: list[int]) -> Estimate:
-        """On the trials that all of ``columns`` finished; one draw of trials serves all statistics that share them."""
-        finished = np.isfinite(both_units[:, columns]).all(axis=1)
-        if (key := finished.tobytes()) not in draws:
-            draws[key] = Bootstrap(np.nan_to_num(both_units[finished]))
-        return draws[key].estimate(statistic, columns)
-
+    estimate = PairedDraws(both_units).estimate
     for index, name in enumerate(planners):
         own = rows[rows["planner"] == name]
         summary.planner_cells[cell, name] = PlannerCell(

@@ -1,11 +1,10 @@
-"""The tables of the report for people: the paper's own, planner against reference, a sweep's variants.
+"""The tables of the report for people: the paper's own, a sweep's variants, how far from optimal.
 
-The table of all planners, which is also written for machines, is in `mrtask.analysis.result_table`.
+The table of all planners, which is also written for machines, is in `mrtask.analysis.result_table`; planner against
+reference in `mrtask.analysis.wins`.
 """
 
 from collections.abc import Mapping, Sequence
-
-import numpy as np
 
 from mrtask.analysis.columns import Column, Entry, Row, Table, interval_text, make_table
 from mrtask.analysis.episodes import Variant
@@ -18,9 +17,7 @@ from mrtask.analysis.statistics import (
     EVERYTHING,
     INFORMED_BASELINE,
     KNOWN,
-    REFERENCES,
     Cell,
-    Comparison,
     Estimate,
     Summary,
     cell_name,
@@ -33,23 +30,6 @@ ABOVE, BELOW, LEVEL = "▲", "▼", "≈"
 """The whole interval above or below the published value, or around it."""
 
 
-def p_value_text(value: float) -> str:
-    """Three digits."""
-    return NOTHING if not np.isfinite(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
-
-
-PAIR_COLUMNS = (
-    Column[Comparison](lambda pair: pair.improvement.n, ("trials", "paired")),
-    Column[Comparison](lambda pair: pair.wins, ("planner is", "sooner")),
-    Column[Comparison](lambda pair: pair.ties, ("planner is", "equal")),
-    Column[Comparison](lambda pair: pair.losses, ("planner is", "later")),
-    Column[Comparison](lambda pair: pair.only_planner, ("trials", "only it finished")),
-    Column[Comparison](lambda pair: pair.only_baseline, ("trials", "only the other")),
-    Column[Comparison](
-        lambda pair: pair.improvement, ("improvement", "95 %"), digits=1, unit=" %", higher_is_better=True
-    ),
-    Column[Comparison](lambda pair: pair.p_value, ("Wilcoxon", "p"), text=p_value_text),
-)
 REAL_WORLD_COLUMNS = (
     Column[RealWorldTrial](lambda trial: trial.myopic_m, ("navigation cost", "myopic"), digits=2, unit=" m"),
     Column[RealWorldTrial](lambda trial: trial.planner_m, ("navigation cost", "planner"), digits=2, unit=" m"),
@@ -123,21 +103,6 @@ def _gap_rows(summary: Summary, planner: str, cells: Sequence[Cell]) -> list[Row
     ]
 
 
-def pair_table(summary: Summary, planner: str | None) -> Table | None:
-    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, test; None where there is none."""
-    cells = [*summary.cells, *((name, ALL_TEAMS) for name in summary.size_classes), EVERYTHING]
-    rows: list[str | tuple[str, Comparison]] = []
-    for reference in REFERENCES:
-        lines = [
-            ("all" if cell == EVERYTHING else cell_name(cell), summary.comparisons[cell, planner, reference])
-            for cell in cells
-            if planner is not None and (cell, planner, reference) in summary.comparisons
-        ]
-        if lines:
-            rows += [f"against {planner_label(reference)}", *lines]
-    return make_table(PAIR_COLUMNS, rows) if rows else None
-
-
 def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> Table | None:
     """A sweep's variants side by side; None without a sweep."""
     if len(summaries) < 2 or planner is None:
@@ -164,8 +129,7 @@ def variant_table(summaries: Mapping[Variant, Summary], planner: str | None) -> 
             for cell in cells
         )
         rows.append(Row(variant or "as configured", entries))
-    teams = (("all teams" if count == ALL_TEAMS else counted(count, "robot")) for _, count in cells)
-    return Table(tuple((name, team) for (name, _), team in zip(cells, teams, strict=True)), tuple(rows))
+    return Table(cell_headings(cells), tuple(rows))
 
 
 def optimality_table(cells: Sequence[CellOptimality]) -> Table:
@@ -208,6 +172,11 @@ def improvement_entry(summary: Summary, published: Published, cell: Cell, planne
         mark = ABOVE if estimate.low > printed else BELOW if estimate.high < printed else LEVEL
     tone = {ABOVE: "good", BELOW: "bad"}.get(mark, "")
     return Entry(f"{entry.value} {mark}".strip(), (*entry.details, f"paper {printed:.2f} %"), tone)
+
+
+def cell_headings(cells: Sequence[Cell]) -> tuple[tuple[str, str], ...]:
+    """Size class and team of each cell, as a table's headings."""
+    return tuple((name, counted(robots, "robot") if robots != ALL_TEAMS else "all teams") for name, robots in cells)
 
 
 def percent_entry(estimate: Estimate) -> Entry:

@@ -29,6 +29,11 @@ MAX_MAPPED_TRIALS = 3000
 """Of larger runs only the notable trials have a map: the report would grow too large."""
 PLOT_SIZE, PLOT_LEFT, PLOT_BOTTOM, PLOT_PAD = 520, 54, 40, 12
 MAX_TICKS = 6
+NEEDED = (
+    *("trial_id", "home_id", "size_class", "robots", "template", "formula", "objects"),
+    *("planner", "status", "cost_cells", "trace"),
+)
+"""The columns that a click shows something of."""
 ROOM_INDEX = {name: index for index, name in enumerate(ROOM_COLORS)}
 
 
@@ -113,9 +118,12 @@ def browse_trials(
     templates = sorted(set(rows["template"].dropna().astype(str))) if "template" in rows.columns else []
     classes = size_classes_in_order(rows["size_class"].unique())
     drawn: dict[str, int] = {}
+    by_trial: dict[str, list[Mapping[Any, Any]]] = {}
+    for row in rows[[name for name in NEEDED if name in rows.columns]].to_dict("records"):
+        by_trial.setdefault(str(row["trial_id"]), []).append(row)
     trials = [
-        _trial(list(group.to_dict("records")), planners, templates, classes, drawn, homes)
-        for _, group in sorted(rows.groupby("trial_id"), key=lambda pair: natural_key(str(pair[0])))
+        _trial(by_trial[trial_id], planners, templates, classes, drawn, homes)
+        for trial_id in sorted(by_trial, key=natural_key)
     ]
     costs = [cost for trial in trials for cost in trial["cost"] if cost is not None]
     top = max(costs, default=0.0) * 1.04 or 1.0

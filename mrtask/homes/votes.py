@@ -126,10 +126,12 @@ def split_objects(splits: Mapping[str, Sequence[str]], name: str) -> tuple[str, 
     """The object types of one split.
 
     Raises:
-        VotesError: there is no such split.
+        VotesError: there is no such split, or it is empty.
     """
     if name not in splits:
         raise VotesError(f"unknown split {name!r} of the objects; allowed: {', '.join(splits)}")
+    if not splits[name]:
+        raise VotesError(f"the split {name!r} has no objects; give other splits, or the objects of another split")
     return tuple(splits[name])
 
 

@@ -19,15 +19,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.optimize import elementwise
+from scipy.special import expit, logit
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import clip_probs
 
 NODES = 7
-STEPS = 60
-"""Halvings of the interval in which ``b`` lies: to the last digit."""
-MAX_LOG_ODDS = 60.0
 
 Floats = NDArray[np.float64]
 Cell = tuple[int, int]
@@ -38,12 +36,12 @@ Cell = tuple[int, int]
 class AdaptOptions:
     """How far households differ from the likelihood model, and how soon they put things elsewhere.
 
-    ``kind_sd``, ``object_sd``: standard deviations in log odds. ``forget``: the probability, per task, that a
-    container's holding an object is drawn anew.
+    ``kind_sd``, ``object_sd``: standard deviations in log odds, chosen by ``benchmarks/bench_belief.py``. ``forget``:
+    the probability, per task, that a container's holding an object is drawn anew.
     """
 
     kind_sd: float = 0.5
-    object_sd: float = 0.5
+    object_sd: float = 1.0
     forget: float = 0.02
 
     def __post_init__(self) -> None:
@@ -155,16 +153,17 @@ def _by_cell(
 
 
 def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
-    """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior; by bisection."""
+    """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior."""
     weight = np.outer(weights, weights).ravel()
     wanted, where = np.unique(clip_probs(prior), return_inverse=True)  # containers of one kind have the same
-    low, high = np.full(wanted.shape, -MAX_LOG_ODDS), np.full(wanted.shape, MAX_LOG_ODDS)
-    for _ in range(STEPS):
-        middle = (low + high) / 2.0
-        below = expit(middle[:, None] + shift.ravel()) @ weight < wanted
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    offsets: Floats = ((low + high) / 2.0)[where].reshape(prior.shape)
-    return offsets
+
+    def excess(offset: Floats, wanted: Floats) -> Floats:
+        return np.asarray(expit(offset[..., None] + shift.ravel()) @ weight - wanted)
+
+    # The mean lies between the least and the greatest of what it is the mean of; 1 for where these are the same.
+    widest = np.abs(shift).max() + 1.0
+    found = elementwise.find_root(excess, (logit(wanted) - widest, logit(wanted) + widest), args=(wanted,))
+    return np.asarray(found.x[where].reshape(prior.shape))
 
 
 def _standard_normal() -> tuple[Floats, Floats]:

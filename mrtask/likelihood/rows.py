@@ -55,6 +55,20 @@ def label_rows(home: Home, objects: Sequence[str]) -> pd.DataFrame:
     )
 
 
+def count_triples(homes: Sequence[Home], about: Sequence[str] | None = None) -> pd.DataFrame:
+    """The `distinct_triples` of the homes' rows, without making these; ``about``: the objects, by default all there."""
+    objects = {name: index for index, name in enumerate(sorted(vocabulary(homes) if about is None else about))}
+    kinds = {kind: index for index, kind in enumerate(sorted({k for home in homes for k in home.container_kinds()}))}
+    positives, count = np.zeros((len(objects), len(kinds)), dtype=np.int64), np.zeros(len(kinds), dtype=np.int64)
+    for home in homes:
+        for container, kind in zip(home.containers, home.container_kinds(), strict=True):
+            count[kinds[kind]] += 1
+            for name in objects.keys() & container.objects:
+                positives[objects[name], kinds[kind]] += 1
+    names = pd.DataFrame([(name, *kind) for name in objects for kind in kinds], columns=TRIPLE, dtype="str")
+    return names.assign(positives=positives.ravel(), count=np.tile(count, len(objects)))
+
+
 def distinct_triples(rows: pd.DataFrame) -> pd.DataFrame:
     """The distinct ``object, container, room`` of the rows with ``positives`` and ``count`` (int64), sorted by name."""
     grouped = rows.groupby(TRIPLE, sort=True, observed=True)["label"].agg(["sum", "count"]).reset_index()

@@ -1,7 +1,7 @@
 """From a dataset to a trained model with its metrics: what ``pipeline.train`` calls. Knows nothing of MLflow."""
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -50,7 +50,7 @@ def train_model(
         on_phase("measuring")
     metrics = {split: score(model, dataset.triples(split)) for split in SPLITS}
     if KINDS[options.kind].trained_at_once:
-        metrics["unseen"] = score_unseen(dataset, options)
+        metrics["unseen"] = score_unseen({split: dataset.triples(split) for split in SPLITS}, options)
     return TrainedModel(model, options, metrics, history)
 
 
@@ -103,13 +103,14 @@ def score(model: LikelihoodModel, triples: pd.DataFrame) -> dict[str, float]:
 
 
 def score_unseen(
-    dataset: Dataset, options: TrainingOptions, column: str = "object", folds: int = UNSEEN_FOLDS
+    triples: Mapping[str, pd.DataFrame], options: TrainingOptions, column: str = "object", folds: int = UNSEEN_FOLDS
 ) -> dict[str, float]:
     """Metrics on the test homes for names never seen: each fold's names are predicted by a model trained without them.
 
-    ``column``: ``object`` or ``container``. Names are dealt to the folds by their hash, the same for every model.
+    ``triples``: those of each split. ``column``: ``object`` or ``container``. Names are dealt to the folds by their
+    hash, the same for every model.
     """
-    train, validation, test = (dataset.triples(split) for split in SPLITS)
+    train, validation, test = (triples[split] for split in SPLITS)
     fold_of = {
         name: place % folds
         for place, name in enumerate(

@@ -5,18 +5,15 @@ the very homes that planners are evaluated on: no model could know these, and wh
 little of what is in each.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from functools import cache
-
-import pandas as pd
 
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.homes.contents import object_probs
 from mrtask.homes.home import Home
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.function import FunctionModel
-from mrtask.likelihood.rows import TRIPLE, vocabulary
+from mrtask.likelihood.rows import count_triples
 
 
 def catalogue_truth() -> FunctionModel:
@@ -32,14 +29,4 @@ def catalogue_truth() -> FunctionModel:
 
 def counted_truth(homes: Sequence[Home]) -> FrequencyModel:
     """How often an object lies in the containers of a kind in these homes; rare kinds lean on similar ones."""
-    objects = vocabulary(homes)
-    containers = Counter(kind for home in homes for kind in home.container_kinds())
-    held = Counter(
-        (name, *kind)
-        for home in homes
-        for container, kind in zip(home.containers, home.container_kinds(), strict=True)
-        for name in set(container.objects)
-    )
-    rows = [(name, *kind, held[name, *kind], count) for kind, count in sorted(containers.items()) for name in objects]
-    triples = pd.DataFrame(rows, columns=[*TRIPLE, "positives", "count"])
-    return FrequencyModel(triples.astype(dict.fromkeys(TRIPLE, "str")))
+    return FrequencyModel(count_triples(homes))

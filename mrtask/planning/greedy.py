@@ -1,8 +1,11 @@
 """`greedy`: the rollout's policy by itself, the strong cheap baseline. See `mrtask.planning.greedy_kernel`."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mrtask.planning import greedy_kernel as kernel
+from mrtask.planning.compiled import compiled
 from mrtask.planning.problem import REASSIGN, Assignment, Plan, PlanningProblem, check_choice
 from mrtask.planning.team import assignment_begun, root_world, team_model
 from mrtask.planning.team_kernel import NONE, Model, World
@@ -10,6 +13,8 @@ from mrtask.planning.team_kernel import NONE, Model, World
 LATER_WEIGHT = 0.3
 """What finding an object that is needed later counts against finding one that advances the task now."""
 CACHED_ROWS = 4096
+
+_assign = compiled(kernel.assign)
 
 
 class Greedy:
@@ -30,7 +35,7 @@ class Greedy:
         """See the class; the rule draws nothing, so ``seed`` does not matter."""
         model = team_model(problem)
         root = root_world(problem, model, self._reassign_all)
-        return Plan(assign_greedily(model, root, policy(problem, self._later_weight)))
+        return Plan(assign_greedily(model, root, policy(problem, self._later_weight), _assign))
 
 
 def check_later_weight(later_weight: float) -> None:
@@ -48,13 +53,18 @@ def policy(problem: PlanningProblem, later_weight: float) -> kernel.GreedyPolicy
         tag=np.full(rows, NONE, dtype=np.int64),
         inverse=np.empty((rows, containers)),
         skip=np.zeros(containers + objects, dtype=np.uint8),
-        action=np.empty(len(problem.robots), dtype=np.int32),
+        action=np.empty(len(problem.robots), dtype=np.int64),
         score=np.empty(len(problem.robots)),
     )
 
 
-def assign_greedily(model: Model, world: World, greedy: kernel.GreedyPolicy) -> dict[int, Assignment]:
-    """Lets all undecided robots of a world begin their greedy actions."""
-    deciders = np.flatnonzero(world.undecided)
-    kernel.assign(model, world, greedy)
+def assign_greedily(
+    model: Model,
+    world: World,
+    greedy: kernel.GreedyPolicy,
+    assign: Callable[[Model, World, kernel.GreedyPolicy], None] = kernel.assign,
+) -> dict[int, Assignment]:
+    """Lets all undecided robots of a world begin their greedy actions; ``assign`` is the kernel, compiled or not."""
+    deciders = np.flatnonzero(world.robots.undecided)
+    assign(model, world, greedy)
     return {int(robot): assignment_begun(world, int(robot)) for robot in deciders}

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import inlined
 from mrtask.planning.team_kernel import (
     AUTOMATON,
     DECIDE,
@@ -28,7 +28,6 @@ from mrtask.planning.team_kernel import (
 )
 
 F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 U8 = NDArray[np.uint64]
@@ -49,11 +48,11 @@ class GreedyPolicy(NamedTuple):
     tag: I8  # [K] key of the cached row, NONE if empty
     inverse: F8  # [K, C] inf where a search is useless
     skip: U1  # [C + O] actions to pass over: zeros between calls
-    action: I4  # [R] best actions of undecided robots, NONE (to wait) if there is none
+    action: I8  # [R] best actions of undecided robots, NONE (to wait) if there is none
     score: F8  # [R] their scores
 
 
-@compiled
+@inlined
 def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     """The row of ``greedy.inverse`` for what a world knows, filled if need be."""
     objects = model.prob.shape[1]
@@ -63,8 +62,8 @@ def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     if greedy.tag[row] == key:
         return row
     greedy.tag[row] = key
-    now = model.advancing[z] & ~found
-    later = model.needed[z] & ~found & ~now
+    now = model.states[z].advancing & ~found
+    later = model.states[z].needed & ~found & ~now
     for c in range(model.prob.shape[0]):
         missed = 1.0
         for o in range(objects):
@@ -76,35 +75,37 @@ def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     return row
 
 
-@compiled
+@inlined
 def _fetching(model: Model, world: World) -> int:
     """Mask of the objects that robots are on their way to, or busy with, at places known to hold them."""
     mask = 0
-    for r in range(world.mode.size):
-        if world.mode[r] == INTERACTING:
-            mask |= 1 << world.doing[r]
-        elif world.mode[r] == MOVING and world.undecided[r] == 0 and world.searched[world.place[r]]:
-            mask |= world.holds[world.place[r]]
+    for r in range(world.robots.size):
+        robot = world.robots[r]
+        if robot.mode == INTERACTING:
+            mask |= 1 << robot.doing
+        elif robot.mode == MOVING and robot.undecided == 0 and world.containers[robot.place].searched:
+            mask |= world.containers[robot.place].holds
     return mask
 
 
-@compiled
+@inlined
 def _all_fetched(model: Model, world: World, fetching: int) -> bool:
     """Whether every object that advances the task now is being fetched, so that others may prepare for later."""
-    return (model.advancing[world.state[AUTOMATON]] & ~fetching) == 0
+    return (model.states[world.state[AUTOMATON]].advancing & ~fetching) == 0
 
 
-@compiled
+@inlined
 def _stands_ready(model: Model, world: World, r: int) -> bool:
     """Whether a robot stands where an object is that is needed later."""
-    place = world.place[r]
-    if world.mode[r] == MOVING or place == NONE or world.searched[place] == 0:
+    robot = world.robots[r]
+    place = robot.place
+    if robot.mode == MOVING or place == NONE or world.containers[place].searched == 0:
         return False
-    z = world.state[AUTOMATON]
-    return (world.holds[place] & model.needed[z] & ~model.advancing[z]) != 0
+    state = model.states[world.state[AUTOMATON]]
+    return (world.containers[place].holds & state.needed & ~state.advancing) != 0
 
 
-@compiled
+@inlined
 def _score(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int, c: int
 ) -> float:
@@ -112,16 +113,17 @@ def _score(
 
     A place known to hold an object for later counts only with ``ahead``, and not for a robot that is at one already.
     """
-    if world.targeted[c] > 0:
+    container = world.containers[c]
+    if container.targeted > 0:
         return np.inf
-    if world.searched[c] == 0:
+    if container.searched == 0:
         weight = greedy.inverse[row, c]
     else:
-        z = world.state[AUTOMATON]
-        useful = world.holds[c] & model.needed[z]
-        if useful & model.safe[z] & ~fetching:
+        state = model.states[world.state[AUTOMATON]]
+        useful = container.holds & state.needed
+        if useful & state.safe & ~fetching:
             weight = 1.0
-        elif ahead and useful & ~model.advancing[z] and not _stands_ready(model, world, r):
+        elif ahead and useful & ~state.advancing and not _stands_ready(model, world, r):
             weight = 1.0 / greedy.later_weight
         else:
             return np.inf
@@ -130,12 +132,12 @@ def _score(
     return max(distance_s(model, world, r, c), MIN_TRAVEL_S) * weight
 
 
-@compiled
+@inlined
 def _best(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int
 ) -> tuple[int, float]:
     """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none."""
-    containers = world.searched.size
+    containers = world.containers.size
     best, best_score = NONE, np.inf
     for early in range(2):  # with nothing to do now, be where an object is that is needed later
         for c in range(containers):
@@ -146,12 +148,13 @@ def _best(
         if best != NONE or ahead:
             break
     z = world.state[AUTOMATON]
-    named = model.advancing[z] & ~model.safe[z] & world.state[FOUND] & ~fetching
+    state = model.states[z]
+    named = state.advancing & ~state.safe & world.state[FOUND] & ~fetching
     obj = 0
     while named:
         if named & 1 and greedy.skip[containers + obj] == 0:
             c = nearest_holding(model, world, r, obj)
-            nearer = model.steps[model.transitions[z, obj]] < model.steps[z]
+            nearer = model.states[model.transitions[z, obj]].steps < state.steps
             if c != NONE:
                 factor = 1.0 if nearer else DETOUR_FACTOR
                 score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * factor
@@ -162,7 +165,7 @@ def _best(
     return best, best_score
 
 
-@compiled
+@inlined
 def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int:
     """A robot's best action that is not in ``greedy.skip``: NONE if there is none.
 
@@ -176,34 +179,34 @@ def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int
     return action
 
 
-@compiled
+@inlined
 def _least(world: World, greedy: GreedyPolicy) -> int:
     """The undecided robot of least ``greedy.score``; NONE if nobody is undecided."""
     chosen = NONE
-    for r in range(world.mode.size):
-        if world.undecided[r] and (chosen == NONE or greedy.score[r] < greedy.score[chosen]):
+    for r in range(world.robots.size):
+        if world.robots[r].undecided and (chosen == NONE or greedy.score[r] < greedy.score[chosen]):
             chosen = r
     return chosen
 
 
-@compiled
+@inlined
 def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int) -> None:
     """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots."""
     fetching = _fetching(model, world)
     ahead = _all_fetched(model, world, fetching)
-    for r in range(world.mode.size):
-        if world.undecided[r]:
+    for r in range(world.robots.size):
+        if world.robots[r].undecided:
             greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
 
 
-@compiled
+@inlined
 def first_to_decide(model: Model, world: World, greedy: GreedyPolicy) -> int:
     """The undecided robot whose best action scores least; NONE if nobody is undecided."""
     _look_round(model, world, greedy, _inverse_prob(model, world, greedy))
     return _least(world, greedy)
 
 
-@compiled
+@inlined
 def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
     """Lets all undecided robots begin actions, each time the robot and action of least score over all."""
     row = _inverse_prob(model, world, greedy)
@@ -211,19 +214,19 @@ def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
     robot = _least(world, greedy)
     while robot != NONE:
         act(model, world, robot, greedy.action[robot])
-        place = world.place[robot]
-        if world.mode[robot] == MOVING and world.searched[place]:  # an object is being fetched now
+        place = world.robots[robot].place
+        if world.robots[robot].mode == MOVING and world.containers[place].searched:  # an object is being fetched now
             _look_round(model, world, greedy, row)
-        elif world.mode[robot] == MOVING:  # only who wanted to go there must look again
+        elif world.robots[robot].mode == MOVING:  # only who wanted to go there must look again
             fetching = _fetching(model, world)
             ahead = _all_fetched(model, world, fetching)
-            for r in range(world.mode.size):
-                if world.undecided[r] and greedy.action[r] == place:
+            for r in range(world.robots.size):
+                if world.robots[r].undecided and greedy.action[r] == place:
                     greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
         robot = _least(world, greedy)
 
 
-@compiled
+@inlined
 def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: U8) -> int:
     """Finishes the task greedily: DONE or STUCK."""
     while True:

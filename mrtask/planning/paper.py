@@ -15,7 +15,7 @@ import numpy as np
 
 from mrtask.planning import paper_kernel as kernel
 from mrtask.planning import paper_leaf_kernel
-from mrtask.planning.paper_action_kernel import ActionLimits, ActionRules, first_action
+from mrtask.planning.paper_action_kernel import LIMIT, ActionLimits, ActionRules, first_action
 from mrtask.planning.paper_belief_kernel import WAIT as WAIT_ACTION
 from mrtask.planning.paper_belief_kernel import PaperBelief, PaperModel
 from mrtask.planning.paper_team import blank_belief, bound_of, paper_model, rollouts_of, root_belief
@@ -126,7 +126,7 @@ class PaperPouct:
             tree_nodes=int(search.tree.size[NODES]),
             value_s=mean_cost_s(search.tree, choose.edge(0)),
             root=root_statistics(search.tree, choose.assignment),
-            root_robot=int(search.tree.robot[0]),
+            root_robot=int(search.tree.nodes[0].robot),
         )
         return Plan(_joint_action(problem, search, choose), info)
 
@@ -145,7 +145,7 @@ class PaperSearch:
             options.avoid_targets,
             options.advance_when_alone,
         )
-        self.limits = action_limits(self.rules, len(self.tree.visits))
+        self.limits = action_limits(self.rules, len(self.tree.nodes))
         self._exploration = kernel.Exploration(options.exploration, options.exploration_unit == "spread")
         self.bound = bound_of(problem, BOUNDS.get(options.leaf, paper_leaf_kernel.ZERO))
         self.rollouts = rollouts_of(problem) if options.leaf == GREEDY else None
@@ -173,12 +173,9 @@ class PaperSearch:
 def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
     """Work space of the rules, for trees of so many nodes."""
     return ActionLimits(
-        advancing_only=np.zeros(nodes, dtype=np.uint8),
-        free_only=np.zeros(nodes, dtype=np.uint8),
-        least_prob=np.empty(nodes),
-        last_tie=np.empty(nodes, dtype=np.int32),
+        nodes=np.recarray(nodes, dtype=LIMIT),
         ranked_prob=np.empty(rules.max_actions),
-        ranked=np.empty(rules.max_actions, dtype=np.int32),
+        ranked=np.empty(rules.max_actions, dtype=np.int64),
     )
 
 
@@ -191,21 +188,21 @@ class _Choice:
 
     def __init__(self, problem: PlanningProblem, search: PaperSearch, choice: str) -> None:
         self._tree, self._by_visits = search.tree, choice == "visits"
-        self._deciders = int(search.root.undecided.sum())
+        self._deciders = int(search.root.robots.undecided.sum())
         self._objects = problem.presence_prob.shape[1]
         self._can_hurt = (problem.automaton.advancing & ~safe(problem.automaton))[problem.state]
 
     def edge(self, node: int, allow_wait: bool = True) -> int:
         """The edge taken, NONE if there is none; ``allow_wait``: waiting is one."""
         tree = self._tree
-        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.action[edge] != WAIT_ACTION]
+        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT_ACTION]
         best = min(edges, key=self._rank, default=NONE)
         if best == NONE or not self._hurts(best):
             return best
         harmless = min((edge for edge in edges if not self._hurts(edge)), key=self._rank, default=NONE)
         if harmless == NONE:
             return best
-        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edge_visits[[best, harmless]] ** -0.5))
+        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edges[[best, harmless]].visits ** -0.5))
         return harmless if mean_cost_s(tree, harmless) <= mean_cost_s(tree, best) + error_s else best
 
     def assignment(self, action: int) -> Assignment:
@@ -217,11 +214,11 @@ class _Choice:
         return self._by_visits and not self._can_hurt.any() and is_settled(self._tree, self._deciders, samples_left)
 
     def _rank(self, edge: int) -> tuple[float, float]:
-        visits = int(self._tree.edge_visits[edge])
+        visits = int(self._tree.edges[edge].visits)
         return (-visits if self._by_visits else 0, mean_cost_s(self._tree, edge))
 
     def _hurts(self, edge: int) -> bool:
-        action = int(self._tree.action[edge])
+        action = int(self._tree.edges[edge].action)
         return action != WAIT_ACTION and bool(self._can_hurt[action % self._objects])
 
 
@@ -232,18 +229,18 @@ def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice
     """
     tree = search.tree
     assignments = {index: Assignment(WAIT, 0) for index, robot in enumerate(problem.robots) if robot.free}
-    deciders = [int(robot) for robot in np.flatnonzero(search.root.undecided)]
+    deciders = [int(robot) for robot in np.flatnonzero(search.root.robots.undecided)]
     node = 0
     for _ in deciders:
         edge = choose.edge(node) if node != NONE else NONE
         if edge == NONE:
             break
-        assignments[int(tree.robot[node])] = choose.assignment(int(tree.action[edge]))
-        node = int(tree.first_child[edge])
+        assignments[int(tree.nodes[node].robot)] = choose.assignment(int(tree.edges[edge].action))
+        node = int(tree.edges[edge].first_child)
     resting = [index for index, chosen in assignments.items() if chosen.container == WAIT]
     if len(resting) == len(problem.robots):
         edge = choose.edge(0, allow_wait=False)
-        robots = [(int(tree.robot[0]), int(tree.action[edge]))] if edge != NONE else []
+        robots = [(int(tree.nodes[0].robot), int(tree.edges[edge].action))] if edge != NONE else []
         robots += [(robot, first_action(search.model, search.root, robot)) for robot in deciders]
         robot, action = next((pair for pair in robots if pair[1] != NONE), (deciders[0], WAIT_ACTION))
         assignments[robot] = choose.assignment(action)

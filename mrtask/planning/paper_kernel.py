@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.paper_action_kernel import ActionLimits, ActionRules, next_action
 from mrtask.planning.paper_belief_kernel import (
     AUTOMATON,
@@ -40,18 +40,18 @@ class Exploration(NamedTuple):
     per_spread: bool
 
 
-@compiled
+@inlined
 def decision_node(belief: PaperBelief, tree: Tree, key: int) -> int:
     """Adds a node for the lowest undecided robot."""
     chosen = NONE
-    for r in range(belief.place.size):
-        if belief.undecided[r]:
+    for r in range(belief.robots.size):
+        if belief.robots[r].undecided:
             chosen = r
             break
     return add_node(tree, chosen, key)
 
 
-@compiled
+@inlined
 def _select(
     model: PaperModel,
     belief: PaperBelief,
@@ -63,23 +63,74 @@ def _select(
 ) -> int:
     """The edge to follow: an action not tried yet, else the best by UCB1; NONE if the robot can do nothing."""
     actions = model.prob.size
-    if tree.next_untried[node] <= actions and tree.size[EDGES] < tree.action.size:
+    if tree.nodes[node].next_untried <= actions and tree.size[EDGES] < tree.edges.size:
         action = next_action(model, belief, rules, limits, tree, node)
-        if action < actions or may_wait(belief, tree.robot[node]) or tree.first_edge[node] == NONE:
+        if action < actions or may_wait(belief, tree.nodes[node].robot) or tree.nodes[node].first_edge == NONE:
             return add_edge(tree, node, action if action < actions else WAIT)
     return least_bound(tree, node, exploration_s)
 
 
-@compiled
+@inlined
 def _with_finds(belief: PaperBelief, outcome: int) -> int:
     """The key of an outcome: finds on the way tell histories apart. Unique for teams of up to 37 robots."""
     key = outcome
-    for r in range(belief.place.size):
-        obj = belief.obj[r]
+    for r in range(belief.robots.size):
+        obj = belief.robots[r].obj
         if obj != NONE:
-            place = belief.place[r]
-            key = 3 * key + ((belief.present[place] >> obj) & 1) + 2 * ((belief.absent[place] >> obj) & 1)
+            place = belief.robots[r].place
+            key = (
+                3 * key
+                + ((belief.containers[place].present >> obj) & 1)
+                + 2 * ((belief.containers[place].absent >> obj) & 1)
+            )
     return key
+
+
+@inlined
+def _sample(
+    model: PaperModel,
+    root: PaperBelief,
+    belief: PaperBelief,
+    tree: Tree,
+    rules: ActionRules,
+    limits: ActionLimits,
+    exploration: Exploration,
+    bound: Bound,
+    rollouts: Rollouts | None,
+    rng: U8,
+) -> None:
+    """One sample from the root; the tree grows by a node, unless it is full."""
+    copy_belief(model, root, belief)
+    exploration_s = exploration.constant * (spread_s(tree) if exploration.per_spread else 1.0)
+    node, depth, cost_s, at_leaf = 0, 0, 0.0, True
+    while True:
+        edge = _select(model, belief, tree, rules, limits, node, exploration_s)
+        tree.nodes[node].visits += 1
+        if edge == NONE:
+            break
+        tree.path[depth] = edge
+        depth += 1
+        act(model, belief, tree.nodes[node].robot, tree.edges[edge].action)
+        key = NONE
+        if not any_undecided(belief):
+            key = sample_outcome(model, belief, rng)
+            if key == NONE:
+                at_leaf, cost_s = False, model.penalty_s
+                break
+            if model.states[belief.state[AUTOMATON]].accepting:
+                at_leaf = False
+                break
+            key = _with_finds(belief, key)
+            mark_undecided(model, belief)
+        child = child_of(tree, edge, key)
+        if child == NONE or depth == tree.path.size:
+            if child == NONE and tree.size[NODES] < tree.nodes.size:
+                attach(tree, edge, decision_node(belief, tree, key))
+            break
+        node = child
+    if at_leaf:
+        cost_s = rest_s(model, belief, bound, rollouts, rng)
+    back_up(tree, depth, belief.clock[0] + cost_s)
 
 
 @compiled
@@ -96,39 +147,6 @@ def run_samples(
     rng: U8,
     samples: int,
 ) -> None:
-    """Runs samples from node 0, which must exist; ``belief`` is overwritten.
-
-    A full tree grows no further: samples then leave it at its fringe.
-    """
+    """Runs samples from node 0, which must exist; ``belief`` is overwritten."""
     for _ in range(samples):
-        copy_belief(model, root, belief)
-        exploration_s = exploration.constant * (spread_s(tree) if exploration.per_spread else 1.0)
-        node, depth, cost_s, at_leaf = 0, 0, 0.0, True
-        while True:
-            edge = _select(model, belief, tree, rules, limits, node, exploration_s)
-            tree.visits[node] += 1
-            if edge == NONE:
-                break
-            tree.path[depth] = edge
-            depth += 1
-            act(model, belief, tree.robot[node], tree.action[edge])
-            key = NONE
-            if not any_undecided(belief):
-                key = sample_outcome(model, belief, rng)
-                if key == NONE:
-                    at_leaf, cost_s = False, model.penalty_s
-                    break
-                if model.accepting[belief.state[AUTOMATON]]:
-                    at_leaf = False
-                    break
-                key = _with_finds(belief, key)
-                mark_undecided(model, belief)
-            child = child_of(tree, edge, key)
-            if child == NONE or depth == tree.path.size:
-                if child == NONE and tree.size[NODES] < tree.visits.size:
-                    attach(tree, edge, decision_node(belief, tree, key))
-                break
-            node = child
-        if at_leaf:
-            cost_s = rest_s(model, belief, bound, rollouts, rng)
-        back_up(tree, depth, belief.clock[0] + cost_s)
+        _sample(model, root, belief, tree, rules, limits, exploration, bound, rollouts, rng)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mrtask.planning import team_kernel as team
-from mrtask.planning.compiled import compiled, random_unit
+from mrtask.planning.compiled import inlined, random_unit
 from mrtask.planning.greedy_kernel import GreedyPolicy, rollout
-from mrtask.planning.paper_belief_kernel import AUTOMATON, F8, I4, LOCATED, U8, PaperBelief, PaperModel, distance_s
+from mrtask.planning.paper_belief_kernel import AUTOMATON, F8, I8, LOCATED, U8, PaperBelief, PaperModel, distance_s
 from mrtask.planning.tree import NONE
 
 ZERO, NEAREST, REVEALED = 0, 1, 2
@@ -23,7 +23,7 @@ class Bound(NamedTuple):
 
     kind: int  # ZERO, NEAREST or REVEALED
     nearest_s: F8  # [C] seconds from the nearest robot
-    order: I4  # [C] the containers, the nearest first
+    order: I8  # [C] the containers, the nearest first
     nowhere: F8  # [O]
     rest_s: F8  # [O] seconds until each object is done with
 
@@ -36,16 +36,16 @@ class Rollouts(NamedTuple):
     greedy: GreedyPolicy
 
 
-@compiled
+@inlined
 def _sort_by_distance(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
     """Fills ``nearest_s``, counting from where robots are or have arrived, and sorts ``order`` by it (insertion)."""
-    for c in range(belief.searched.size):
+    for c in range(belief.containers.size):
         bound.nearest_s[c] = np.inf
-    for r in range(belief.place.size):
-        ready_s = 0.0 if belief.obj[r] == NONE else max(belief.arrive_s[r] - belief.clock[0], 0.0)
-        for c in range(belief.searched.size):
+    for r in range(belief.robots.size):
+        ready_s = 0.0 if belief.robots[r].obj == NONE else max(belief.robots[r].arrive_s - belief.clock[0], 0.0)
+        for c in range(belief.containers.size):
             bound.nearest_s[c] = min(bound.nearest_s[c], ready_s + distance_s(model, belief, r, c))
-    for c in range(belief.searched.size):
+    for c in range(belief.containers.size):
         here_s, spot = bound.nearest_s[c], c
         while spot > 0 and bound.nearest_s[bound.order[spot - 1]] > here_s:
             bound.order[spot] = bound.order[spot - 1]
@@ -53,27 +53,27 @@ def _sort_by_distance(model: PaperModel, belief: PaperBelief, bound: Bound) -> N
         bound.order[spot] = c
 
 
-@compiled
+@inlined
 def _fetch_times(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
     """Fills ``rest_s`` of the objects needed with the time of the nearest robot to the nearest container.
 
     That is the mean over what may be where, given that the object exists; for NEAREST to where it may be at all.
     """
     objects = model.prob.shape[1]
-    wanted = model.needed[belief.state[AUTOMATON]]
+    wanted = model.states[belief.state[AUTOMATON]].needed
     _sort_by_distance(model, belief, bound)
     for obj in range(objects):
         bound.nowhere[obj], bound.rest_s[obj] = 1.0, 0.0
-    for spot in range(belief.searched.size):
+    for spot in range(belief.containers.size):
         c = bound.order[spot]
         nearest_s = bound.nearest_s[c]
         if wanted == 0 or nearest_s == np.inf:
             break
-        here = wanted & (model.possible[c] & ~belief.absent[c] | belief.present[c])
+        here = wanted & (model.possible[c] & ~belief.containers[c].absent | belief.containers[c].present)
         for obj in range(objects):
             if (here >> obj) & 1:
                 prob = model.prob[c, obj]
-                if bound.kind == NEAREST or (belief.present[c] >> obj) & 1:
+                if bound.kind == NEAREST or (belief.containers[c].present >> obj) & 1:
                     prob = 1.0
                 bound.rest_s[obj] += bound.nowhere[obj] * prob * nearest_s
                 bound.nowhere[obj] *= 1.0 - prob
@@ -84,7 +84,7 @@ def _fetch_times(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
         bound.rest_s[obj] = bound.rest_s[obj] / there if there > 0.0 else np.inf
 
 
-@compiled
+@inlined
 def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
     """The time to acceptance if the contents were told now and all objects were fetched at once.
 
@@ -92,17 +92,18 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
     as its slowest member, or as all its interactions shared out among the robots; the task its cheapest sufficient set.
     """
     z = belief.state[AUTOMATON]
-    if model.accepting[z]:
+    if model.states[z].accepting:
         return 0.0
     _fetch_times(model, belief, bound)
-    robots, begun = belief.place.size, 0
+    robots, begun = belief.robots.size, 0
     for obj in range(model.prob.shape[1]):
         bound.rest_s[obj] += model.interact_time_s
     for r in range(robots):
-        obj = belief.obj[r]
-        if obj != NONE and belief.arrive_s[r] <= belief.clock[0] and (belief.present[belief.place[r]] >> obj) & 1:
+        robot = belief.robots[r]
+        obj = robot.obj
+        if obj != NONE and robot.arrive_s <= belief.clock[0] and (belief.containers[robot.place].present >> obj) & 1:
             begun |= 1 << obj
-            bound.rest_s[obj] = min(bound.rest_s[obj], max(belief.done_s[r] - belief.clock[0], 0.0))
+            bound.rest_s[obj] = min(bound.rest_s[obj], max(robot.done_s - belief.clock[0], 0.0))
     best_s = np.inf
     for s in range(model.sufficient.shape[1]):
         members = model.sufficient[z, s]
@@ -118,61 +119,64 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
     return best_s if best_s < np.inf else model.penalty_s
 
 
-@compiled
+@inlined
 def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> None:
     """Sets what a rollout's world holds; what searched containers hold besides is drawn, as a search shows it all."""
     containers, objects = rollouts.model.prob.shape
     world = rollouts.world
-    needed, found = rollouts.model.needed[belief.state[AUTOMATON]], belief.state[LOCATED]
+    needed, found = rollouts.model.states[belief.state[AUTOMATON]].needed, belief.state[LOCATED]
     for o in range(objects):
         world.nowhere[o] = 1.0
         for c in range(containers):
-            if ((belief.present[c] | belief.absent[c]) >> o) & 1 == 0:
+            if ((belief.containers[c].present | belief.containers[c].absent) >> o) & 1 == 0:
                 world.nowhere[o] *= 1.0 - rollouts.model.prob[c, o]
     for c in range(containers):
-        world.searched[c], world.holds[c], world.targeted[c] = belief.searched[c], belief.present[c], 0
-        if belief.searched[c] == 0:
+        known, container = belief.containers[c], world.containers[c]
+        container.searched, container.holds, container.targeted = known.searched, known.present, 0
+        if known.searched == 0:
             continue
         for o in range(objects):
-            if (needed & ~(belief.present[c] | belief.absent[c])) >> o & 1:
+            if (needed & ~(known.present | known.absent)) >> o & 1:
                 prob = rollouts.model.prob[c, o]
                 exists = 1.0 if (found >> o) & 1 else 1.0 - world.nowhere[o]
                 if random_unit(rng) * exists < prob:
-                    world.holds[c] |= 1 << o
+                    container.holds |= 1 << o
                     found |= 1 << o
                 world.nowhere[o] = min(world.nowhere[o] / (1.0 - prob), 1.0)
     world.state[team.FOUND] = found
 
 
-@compiled
+@inlined
 def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
     """Lets the robots of a rollout's world do what those of the belief do."""
-    world, clock_s, z = rollouts.world, belief.clock[0], belief.state[AUTOMATON]
-    for r in range(belief.place.size):
-        place, obj = belief.place[r], belief.obj[r]
-        world.mode[r], world.place[r], world.undecided[r] = team.FREE, place, belief.undecided[r]
-        world.want[r], world.doing[r], world.until_s[r] = NONE, NONE, np.inf
-        world.since_s[r], world.origin[r] = belief.since_s[r], place
-        if belief.under_way[r]:
-            world.mode[r], world.until_s[r], world.origin[r] = team.MOVING, belief.reach_s[r], belief.origin[r]
+    world, clock_s = rollouts.world, belief.clock[0]
+    state = rollouts.model.states[belief.state[AUTOMATON]]
+    for r in range(belief.robots.size):
+        ours, theirs = belief.robots[r], world.robots[r]
+        place, obj = ours.place, ours.obj
+        theirs.mode, theirs.place, theirs.undecided = team.FREE, place, ours.undecided
+        theirs.want, theirs.doing, theirs.until_s = NONE, NONE, np.inf
+        theirs.since_s, theirs.origin = ours.since_s, place
+        if ours.under_way:
+            theirs.mode, theirs.until_s, theirs.origin = team.MOVING, ours.reach_s, ours.origin
         elif obj != NONE:
-            world.targeted[place] += 1
-            if (rollouts.model.advancing[z] & ~rollouts.model.safe[z]) >> obj & 1:
-                world.want[r] = obj
-            if belief.reach_s[r] > clock_s:
-                world.mode[r], world.until_s[r], world.origin[r] = team.MOVING, belief.reach_s[r], belief.origin[r]
-            elif belief.searched[place] == 0 or belief.arrive_s[r] > clock_s:
-                world.mode[r], world.until_s[r] = team.SEARCHING, max(belief.arrive_s[r], clock_s)
-            elif (belief.present[place] & rollouts.model.advancing[z]) >> obj & 1:
-                world.mode[r], world.doing[r], world.until_s[r] = team.INTERACTING, obj, max(belief.done_s[r], clock_s)
+            world.containers[place].targeted += 1
+            if (state.advancing & ~state.safe) >> obj & 1:
+                theirs.want = obj
+            if ours.reach_s > clock_s:
+                theirs.mode, theirs.until_s, theirs.origin = team.MOVING, ours.reach_s, ours.origin
+            elif belief.containers[place].searched == 0 or ours.arrive_s > clock_s:
+                theirs.mode, theirs.until_s = team.SEARCHING, max(ours.arrive_s, clock_s)
+            elif (belief.containers[place].present & state.advancing) >> obj & 1:
+                theirs.mode, theirs.doing, theirs.until_s = team.INTERACTING, obj, max(ours.done_s, clock_s)
             else:
-                world.mode[r], world.until_s[r] = team.MOVING, clock_s
-        if world.origin[r] == NONE:
-            for c in range(belief.searched.size):
+                theirs.mode, theirs.until_s = team.MOVING, clock_s
+        if theirs.origin == NONE:
+            for c in range(belief.containers.size):
                 world.away[r, c] = belief.away[r, c]
 
 
-@compiled
+@inlined
 def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> float:
     """How long the greedy policy takes to finish the task in a world drawn from the belief."""
     rollouts.world.clock[0] = belief.clock[0]
@@ -185,7 +189,7 @@ def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> float:
     return rest_s + rollouts.model.penalty_s if outcome == team.STUCK else rest_s
 
 
-@compiled
+@inlined
 def rest_s(model: PaperModel, belief: PaperBelief, bound: Bound, rollouts: Rollouts | None, rng: U8) -> float:
     """The value of what is left to do, in seconds; without ``rollouts`` their kernel is not compiled either."""
     if rollouts is not None:

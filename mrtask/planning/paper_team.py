@@ -1,12 +1,14 @@
 """A planning problem in the terms of `pouct_paper`'s compiled search."""
 
+from typing import Any
+
 import numpy as np
 
 from mrtask.planning import paper_belief_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, policy
 from mrtask.planning.paper_leaf_kernel import Bound, Rollouts
 from mrtask.planning.problem import ANY_SAFE, FloatArray, PlanningProblem, needed
-from mrtask.planning.team import blank_world, stuck_penalty_s, team_model
+from mrtask.planning.team import blank_records, blank_world, masks, state_records, stuck_penalty_s, team_model
 from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import Automaton
 
@@ -29,16 +31,13 @@ def paper_model(
     if objects > MAX_OBJECTS:
         raise ValueError(f"pouct_paper handles tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
-    bits = 1 << np.arange(objects)
     prob = _search_prob(problem, round_decimals)
     return kernel.PaperModel(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         prob=prob,
-        possible=((prob > 0) * bits).sum(axis=1).astype(np.int64),
-        transitions=automaton.transitions.astype(np.int32),
-        accepting=automaton.accepting.astype(np.uint8),
-        advancing=(automaton.advancing * bits).sum(axis=1).astype(np.int64),
-        needed=(needed(automaton) * bits).sum(axis=1).astype(np.int64),
+        possible=masks(prob > 0),
+        transitions=automaton.transitions.astype(np.int64),
+        states=state_records(automaton),
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
@@ -50,29 +49,29 @@ def paper_model(
 
 def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.PaperBelief:
     """What the team knows and does now; with ``model.redirect`` robots under way decide where the problem allows it."""
-    bits = 1 << np.arange(problem.presence_prob.shape[1])
     there = problem.presence_prob > 0
     root = blank_belief(problem)
-    root.present[:] = ((there & problem.searched[:, None]) * bits).sum(axis=1)
-    root.absent[:] = ((~there & problem.searched[:, None]) * bits).sum(axis=1)
-    root.searched[:] = problem.searched
+    root.containers.present[:] = masks(there & problem.searched[:, None])
+    root.containers.absent[:] = masks(~there & problem.searched[:, None])
+    root.containers.searched[:] = problem.searched
     root.nowhere[:] = np.prod(1.0 - model.prob, axis=0)
     root.state[kernel.AUTOMATON] = problem.state
-    root.state[kernel.LOCATED] = (problem.found() * bits).sum()
+    root.state[kernel.LOCATED] = masks(problem.found()[None])[0]
     for index, robot in enumerate(problem.robots):
-        root.place[index] = root.origin[index] = robot.place
+        record = root.robots[index]
+        record.place = record.origin = robot.place
         if robot.free:
-            root.undecided[index] = 1
+            record.undecided = 1
         elif robot.target >= 0:
             searching_s = 0.0 if problem.searched[robot.target] else problem.search_time_s
-            _put(root, index, robot.target, robot.interaction, robot.remaining_s + searching_s, problem)
-            root.reach_s[index], root.origin[index] = robot.remaining_s, NONE
+            _put(record, robot.target, robot.interaction, robot.remaining_s + searching_s, problem)
+            record.reach_s, record.origin = robot.remaining_s, NONE
             if model.redirect and problem.may_redirect:
-                root.obj[index], root.undecided[index], root.under_way[index] = NONE, 1, 1
+                record.obj, record.undecided, record.under_way = NONE, 1, 1
         elif robot.interacting >= 0:
-            _put(root, index, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
+            _put(record, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
         else:
-            _put(root, index, robot.place, robot.interaction, robot.remaining_s, problem)
+            _put(record, robot.place, robot.interaction, robot.remaining_s, problem)
     return root
 
 
@@ -82,19 +81,9 @@ def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
     return kernel.PaperBelief(
         clock=np.zeros(1),
         state=np.zeros(3, dtype=np.int64),
-        present=np.zeros(containers, dtype=np.int64),
-        absent=np.zeros(containers, dtype=np.int64),
-        searched=np.zeros(containers, dtype=np.uint8),
+        containers=blank_records(containers, kernel.CONTAINER),
         nowhere=np.ones(objects),
-        place=np.full(robots, NONE, dtype=np.int32),
-        obj=np.full(robots, NONE, dtype=np.int32),
-        arrive_s=np.zeros(robots),
-        done_s=np.zeros(robots),
-        reach_s=np.zeros(robots),
-        undecided=np.zeros(robots, dtype=np.uint8),
-        under_way=np.zeros(robots, dtype=np.uint8),
-        origin=np.full(robots, NONE, dtype=np.int32),
-        since_s=np.zeros(robots),
+        robots=blank_records(robots, kernel.ROBOT, place=NONE, obj=NONE, origin=NONE),
         away=np.array([robot.travel_s for robot in problem.robots], dtype=np.float64),
     )
 
@@ -105,7 +94,7 @@ def bound_of(problem: PlanningProblem, kind: int) -> Bound:
     return Bound(
         kind=kind,
         nearest_s=np.empty(containers),
-        order=np.empty(containers, dtype=np.int32),
+        order=np.empty(containers, dtype=np.int64),
         nowhere=np.empty(objects),
         rest_s=np.empty(objects),
     )
@@ -124,7 +113,7 @@ def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> FloatA
     if round_decimals is not None:
         prob = np.where(prob > 0.0, np.maximum(prob.round(round_decimals), MIN_PROB), 0.0)
     nowhere = ~problem.found() & (prob == 0.0).all(axis=0)
-    return np.where(unsearched[:, None] & nowhere, MIN_PROB, prob)
+    return np.ascontiguousarray(np.where(unsearched[:, None] & nowhere, MIN_PROB, prob))
 
 
 def sufficient_sets(automaton: Automaton) -> kernel.I8:
@@ -152,9 +141,9 @@ def sufficient_sets(automaton: Automaton) -> kernel.I8:
     return table
 
 
-def _put(root: kernel.PaperBelief, robot: int, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
+def _put(record: Any, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
     """Sets a robot's action under way; one that names no object (not this planner's) is taken for the first needed."""
-    root.place[robot] = place
-    root.obj[robot] = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
-    root.arrive_s[robot] = arrive_s
-    root.done_s[robot] = arrive_s + problem.interact_time_s
+    record.place = place
+    record.obj = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
+    record.arrive_s = arrive_s
+    record.done_s = arrive_s + problem.interact_time_s

@@ -91,17 +91,18 @@ class Pouct:
         options = self.options
         model = team_model(problem)
         root, world = root_world(problem, model, options.reassign == "all"), blank_world(problem)
+        deciders = int(root.robots.undecided.sum())
+        if deciders == 0:
+            return Plan({})
         greedy, tree = policy(problem, options.later_weight), empty_tree(options)
         search = kernel.Search(options.exploration, options.widening_factor, options.widening_exponent)
         rng = np.array([seed], dtype=np.uint64)
-        deciders = int(root.undecided.sum())
-        kernel.decision_node(model, root, tree, greedy, 0)
         done = run_search(
             options,
             run=lambda count: kernel.run_samples(model, root, world, tree, greedy, search, rng, count),
             is_settled=lambda samples_left: is_settled(tree, deciders, samples_left),
         )
-        best, first = most_visited(tree, 0), int(tree.robot[0])
+        best, first = most_visited(tree, 0), int(tree.nodes[0].robot)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
@@ -121,7 +122,7 @@ class Known(Pouct):
 
 def _assignment(model: Model, root: World, robot: int, action: int) -> Assignment:
     """What an action of the tree means for a robot at the root."""
-    containers = len(root.searched)
+    containers = len(root.containers.searched)
     if action < containers:
         return Assignment(action)
     return Assignment(nearest_holding(model, root, robot, action - containers), action - containers)
@@ -130,13 +131,13 @@ def _assignment(model: Model, root: World, robot: int, action: int) -> Assignmen
 def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -> dict[int, Assignment]:
     """Follows the most visited edges through the robots to be decided now; greedy where the tree ends before them.
 
-    The root world is used up.
+    The root world is used up. Nobody is left to the policy unless there are fewer samples than robots.
     """
     assignments: dict[int, Assignment] = {}
     node = 0
-    while node != NONE and root.undecided.any() and (edge := most_visited(tree, node)) != NONE:
-        robot = int(tree.robot[node])
-        act(model, root, robot, int(tree.action[edge]))
+    while node != NONE and root.robots.undecided.any() and (edge := most_visited(tree, node)) != NONE:
+        robot = int(tree.nodes[node].robot)
+        act(model, root, robot, int(tree.edges[edge].action))
         assignments[robot] = assignment_begun(root, robot)
-        node = int(tree.first_child[edge])
-    return assignments | assign_greedily(model, root, greedy)
+        node = int(tree.edges[edge].first_child)
+    return assignments | assign_greedily(model, root, greedy) if root.robots.undecided.any() else assignments

@@ -16,18 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import Records, inlined
 from mrtask.planning.problem import Assignment
 
 F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
 
 NONE = -1
 NODES, EDGES = 0, 1
 """Indices of `Tree.size`."""
-EDGE_MEAN, EDGE_WIDTH = 0, 1
-"""Columns of `Tree.bound`: an edge's mean cost, and 1 / sqrt(visits)."""
 COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
 """Indices of `Tree.moments`: Welford's running sums, and the largest standard deviation so far."""
 MAX_PATH = 4096
@@ -59,50 +56,50 @@ class SearchOptions:
             raise ValueError(f"time_limit_s must be > 0 or null, not {self.time_limit_s}")
 
 
+NODE = np.dtype(
+    [
+        ("key", np.int64),  # what was observed on the way from the parent's edge
+        ("visits", np.int64),
+        ("robot", np.int64),
+        ("first_edge", np.int64),  # the newest
+        ("next_untried", np.int64),  # the next action, by its planner's order, that the node has not tried
+        ("sibling", np.int64),  # the next child of the same edge
+    ],
+    align=True,
+)
+EDGE = np.dtype(
+    [
+        ("action", np.int64),  # in its planner's terms
+        ("next_edge", np.int64),  # the next older edge of the same node
+        ("first_child", np.int64),
+        ("visits", np.int64),  # samples through the edge
+        ("total_s", np.float64),  # their summed costs
+        ("squares", np.float64),  # their summed squared costs
+        ("mean_s", np.float64),  # what UCB1 needs of them, kept so that no root or quotient is taken at each look:
+        ("width", np.float64),  # the mean cost, and 1 / sqrt(visits)
+    ],
+    align=True,
+)
+
+
 class Tree(NamedTuple):
     """The arrays of a search, allocated once per plan."""
 
     size: I8  # [2] NODES and EDGES in use
-    visits: I4  # [M]
-    robot: I4  # [M]
-    first_edge: I4  # [M] newest edge of a node
-    next_untried: I4  # [M] a node's next action, by its planner's order, that it has not tried
-    key: I8  # [M] what was observed on the way from the parent's edge
-    sibling: I4  # [M] next child of the same edge
-    action: I4  # [M] of an edge, in its planner's terms
-    next_edge: I4  # [M] next older edge of the same node
-    first_child: I4  # [M]
-    edge_visits: I4  # [M] samples through an edge
-    total_s: F8  # [M] their summed costs
-    squares: F8  # [M] their summed squared costs
-    bound: F8  # [M, 2] what UCB1 needs of them, kept so that no root or quotient is taken at each look
-    path: I4  # [MAX_PATH] edges of the sample under way
+    nodes: Records  # [M] of NODE
+    edges: Records  # [M] of EDGE
+    path: I8  # [MAX_PATH] edges of the sample under way
     moments: F8  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
 
 def empty_tree(options: SearchOptions) -> Tree:
     """A tree without nodes, as large as the search can get."""
     nodes = min(options.samples + 1, options.max_nodes)
-
-    def integers() -> I4:
-        return np.empty(nodes, dtype=np.int32)
-
     return Tree(
         size=np.zeros(2, dtype=np.int64),
-        visits=integers(),
-        robot=integers(),
-        first_edge=integers(),
-        next_untried=integers(),
-        key=np.empty(nodes, dtype=np.int64),
-        sibling=integers(),
-        action=integers(),
-        next_edge=integers(),
-        first_child=integers(),
-        edge_visits=integers(),
-        total_s=np.empty(nodes),
-        squares=np.empty(nodes),
-        bound=np.empty((nodes, 2)),
-        path=np.empty(MAX_PATH, dtype=np.int32),
+        nodes=np.recarray(nodes, dtype=NODE),
+        edges=np.recarray(nodes, dtype=EDGE),
+        path=np.empty(MAX_PATH, dtype=np.int64),
         moments=np.zeros(4),
     )
 
@@ -112,7 +109,7 @@ def run_search(
 ) -> int:
     """Calls ``run(count)`` until the samples or the time are spent or ``is_settled(samples left)``; the samples run."""
     began_s, done = perf_counter(), 0
-    while done < options.samples and not is_settled(options.samples - done):
+    while done == 0 or (done < options.samples and not is_settled(options.samples - done)):
         count = min(BATCH_SAMPLES, options.samples - done)
         run(count)
         done += count
@@ -121,57 +118,59 @@ def run_search(
     return done
 
 
-@compiled
+@inlined
 def add_node(tree: Tree, robot: int, key: int) -> int:
     """A new node for a robot's decision."""
     node = tree.size[NODES]
     tree.size[NODES] = node + 1
-    tree.visits[node] = 0
-    tree.robot[node] = robot
-    tree.first_edge[node] = NONE
-    tree.next_untried[node] = 0
-    tree.key[node] = key
-    tree.sibling[node] = NONE
+    record = tree.nodes[node]
+    record.key = key
+    record.visits = 0
+    record.robot = robot
+    record.first_edge = NONE
+    record.next_untried = 0
+    record.sibling = NONE
     return node
 
 
-@compiled
+@inlined
 def add_edge(tree: Tree, node: int, action: int) -> int:
     """A new action of a node."""
     edge = tree.size[EDGES]
     tree.size[EDGES] = edge + 1
-    tree.action[edge] = action
-    tree.next_edge[edge] = tree.first_edge[node]
-    tree.first_child[edge] = NONE
-    tree.edge_visits[edge] = 0
-    tree.total_s[edge] = 0.0
-    tree.squares[edge] = 0.0
-    tree.first_edge[node] = edge
+    record = tree.edges[edge]
+    record.action = action
+    record.next_edge = tree.nodes[node].first_edge
+    record.first_child = NONE
+    record.visits = 0
+    record.total_s = 0.0
+    record.squares = 0.0
+    tree.nodes[node].first_edge = edge
     return edge
 
 
-@compiled
+@inlined
 def child_of(tree: Tree, edge: int, key: int) -> int:
     """The node that follows an edge and an observation, NONE if it is new."""
-    child = tree.first_child[edge]
-    while child != NONE and tree.key[child] != key:
-        child = tree.sibling[child]
+    child = tree.edges[edge].first_child
+    while child != NONE and tree.nodes[child].key != key:
+        child = tree.nodes[child].sibling
     return child
 
 
-@compiled
+@inlined
 def attach(tree: Tree, edge: int, node: int) -> None:
     """Puts a new node at the end of an edge's children, where what is seen more often comes sooner."""
-    child = tree.first_child[edge]
+    child = tree.edges[edge].first_child
     if child == NONE:
-        tree.first_child[edge] = node
+        tree.edges[edge].first_child = node
         return
-    while tree.sibling[child] != NONE:
-        child = tree.sibling[child]
-    tree.sibling[child] = node
+    while tree.nodes[child].sibling != NONE:
+        child = tree.nodes[child].sibling
+    tree.nodes[child].sibling = node
 
 
-@compiled
+@inlined
 def spread_s(tree: Tree) -> float:
     """The scale of costs, for UCB1's constant: their largest standard deviation so far.
 
@@ -181,21 +180,22 @@ def spread_s(tree: Tree) -> float:
     return tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
 
 
-@compiled
+@inlined
 def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
     """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
-    radius_s = exploration_s * np.sqrt(np.log(tree.visits[node] + 1.0))
+    radius_s = exploration_s * np.sqrt(np.log(tree.nodes[node].visits + 1.0))
     best, best_bound = NONE, np.inf
-    edge = tree.first_edge[node]
+    edge = tree.nodes[node].first_edge
     while edge != NONE:
-        bound = tree.bound[edge, EDGE_MEAN] - radius_s * tree.bound[edge, EDGE_WIDTH]
+        record = tree.edges[edge]
+        bound = record.mean_s - radius_s * record.width
         if bound < best_bound:
             best, best_bound = edge, bound
-        edge = tree.next_edge[edge]
+        edge = record.next_edge
     return best
 
 
-@compiled
+@inlined
 def back_up(tree: Tree, depth: int, cost_s: float) -> None:
     """Adds a sample's cost to the ``depth`` edges of its path."""
     moments = tree.moments
@@ -205,33 +205,33 @@ def back_up(tree: Tree, depth: int, cost_s: float) -> None:
     moments[SQUARES] += delta * (cost_s - moments[MEAN])
     moments[MAX_SPREAD] = max(moments[MAX_SPREAD], np.sqrt(moments[SQUARES] / moments[COUNT]))
     for step in range(depth):
-        edge = tree.path[step]
-        tree.edge_visits[edge] += 1
-        tree.total_s[edge] += cost_s
-        tree.squares[edge] += cost_s * cost_s
-        visits = float(tree.edge_visits[edge])
-        tree.bound[edge, EDGE_MEAN] = tree.total_s[edge] / visits
-        tree.bound[edge, EDGE_WIDTH] = 1.0 / np.sqrt(visits)
+        edge = tree.edges[tree.path[step]]
+        edge.visits += 1
+        edge.total_s += cost_s
+        edge.squares += cost_s * cost_s
+        visits = float(edge.visits)
+        edge.mean_s = edge.total_s / visits
+        edge.width = 1.0 / np.sqrt(visits)
 
 
 def edges_of(tree: Tree, node: int) -> list[int]:
     """A node's edges, the newest first."""
-    edges, edge = [], int(tree.first_edge[node])
+    edges, edge = [], int(tree.nodes[node].first_edge)
     while edge != NONE:
         edges.append(edge)
-        edge = int(tree.next_edge[edge])
+        edge = int(tree.edges[edge].next_edge)
     return edges
 
 
 def mean_cost_s(tree: Tree, edge: int) -> float:
     """The mean cost of the samples through an edge."""
-    return float(tree.total_s[edge] / tree.edge_visits[edge])
+    return float(tree.edges[edge].total_s / tree.edges[edge].visits)
 
 
 def most_visited(tree: Tree, node: int) -> int:
     """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
     return min(
-        edges_of(tree, node), key=lambda edge: (-int(tree.edge_visits[edge]), mean_cost_s(tree, edge)), default=NONE
+        edges_of(tree, node), key=lambda edge: (-int(tree.edges[edge].visits), mean_cost_s(tree, edge)), default=NONE
     )
 
 
@@ -239,10 +239,10 @@ def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
     """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
     node = 0
     for _ in range(deciders):
-        visits = [*sorted((int(tree.edge_visits[edge]) for edge in edges_of(tree, node)), reverse=True), 0, 0]
+        visits = [*sorted((int(tree.edges[edge].visits) for edge in edges_of(tree, node)), reverse=True), 0, 0]
         if visits[0] - visits[1] <= samples_left:
             return False
-        node = int(tree.first_child[most_visited(tree, node)])
+        node = int(tree.edges[most_visited(tree, node)].first_child)
         if node == NONE:
             break
     return True
@@ -253,8 +253,9 @@ def root_statistics(
 ) -> tuple[tuple[Assignment, int, float, float], ...]:
     """`PlanInfo.root`; ``assignment`` says what an action means."""
     rows = []
-    for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.edge_visits[edge]):
+    for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.edges[edge].visits):
         mean_s = mean_cost_s(tree, edge)
-        variance = max(float(tree.squares[edge] / tree.edge_visits[edge]) - mean_s**2, 0.0)
-        rows.append((assignment(int(tree.action[edge])), int(tree.edge_visits[edge]), mean_s, math.sqrt(variance)))
+        variance = max(float(tree.edges[edge].squares / tree.edges[edge].visits) - mean_s**2, 0.0)
+        action, visits = int(tree.edges[edge].action), int(tree.edges[edge].visits)
+        rows.append((assignment(action), visits, mean_s, math.sqrt(variance)))
     return tuple(rows)

@@ -28,6 +28,7 @@ from mrtask.errors import InputError
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.files import default_cache_dir
 from mrtask.planning.planners import make_planner
+from mrtask.planning.warm_up import kernels_missing
 from mrtask.suite.card import planning_text, render_card
 from mrtask.suite.frozen import DEFAULT_SUITE, Suite, load_suite
 from mrtask.suite.recorded import recorded_episodes
@@ -128,6 +129,8 @@ def main(arguments: list[str]) -> int:
         request = Request.parse(arguments)
         suite = load_suite(request.suite)
         began_s = time.monotonic()
+        if kernels_missing():
+            print("the first plan compiles the planner, once for each version of the code", file=sys.stderr)
         with tqdm(total=len(request.trial_numbers()), desc=f"{request.planner} on {suite.name}", unit="trial") as bar:
             episodes = score_planner(request, bar.update)
         recorded = recorded_episodes(suite)

@@ -8,12 +8,12 @@ loss than the champion's on test homes that neither was trained on. To roll back
 """
 
 import contextlib
-import importlib.metadata
 import json
 import logging
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
 import mlflow
 import numpy as np
+import pandas as pd
 from filelock import FileLock
 from mlflow.data.pandas_dataset import from_pandas
 from mlflow.data.sources import LocalArtifactDatasetSource  # type: ignore[attr-defined]  # made at run time
@@ -44,6 +45,7 @@ from mrtask.likelihood.model import LikelihoodModel, ModelError
 from mrtask.likelihood.rows import SPLITS, TRIPLE, distinct_triples
 from mrtask.likelihood.training import TrainedModel, score
 from pipeline.base.config import UserError
+from pipeline.store.version import public_version
 
 for _name in ("mlflow", "alembic"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -216,6 +218,17 @@ def log_figure(run: Run, figure: Any, name: str) -> None:
     mlflow.MlflowClient().log_figure(run.run_id, figure, f"figures/{name}")
 
 
+def log_table(run: Run, table: pd.DataFrame, name: str) -> None:
+    """Keep a table as ``name`` (``.json``) that MLflow shows beside those of other runs; an earlier one is replaced."""
+    client = mlflow.MlflowClient()
+    if name in {artifact.path for artifact in client.list_artifacts(run.run_id)}:
+        client.log_text(run.run_id, table.to_json(orient="split", index=False), name)  # log_table would add to it
+        return
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="For backward compatibility, 'str' dtypes")  # MLflow's, of pandas
+        client.log_table(run.run_id, table, name)
+
+
 def log_dataset(run: Run, dataset: Dataset, folder: Path) -> None:
     """Record the dataset's splits (distinct triples, counts) as the run's inputs, its manifest and card as files."""
     for split in SPLITS:
@@ -322,13 +335,8 @@ def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:
             code_paths=[str(code)],
             signature=SIGNATURE,
             input_example=example,
-            pip_requirements=[f"{name}=={_public_version(name)}" for name in REQUIREMENTS],
+            pip_requirements=[f"{name}=={public_version(name)}" for name in REQUIREMENTS],
         )
-
-
-def _public_version(package: str) -> str:
-    """The version as package indexes know it: ``2.13.0``, not the local build ``2.13.0+cpu``."""
-    return importlib.metadata.version(package).partition("+")[0]
 
 
 def _challenge(tracking: Tracking, trained: TrainedModel, dataset: Dataset) -> tuple[bool, str]:

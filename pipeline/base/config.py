@@ -65,8 +65,11 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
 
+HomeContents = Literal["procthor", "housekeep"]
+
+
 class _Homes(_Section):
-    contents: Literal["procthor", "housekeep"]
+    contents: HomeContents
     seed: int = Field(ge=0)
     train: Positive
     validation: Positive
@@ -379,6 +382,16 @@ class Sensitivity(_Section):
     factors: Annotated[tuple[Factor, ...], Field(min_length=1)]
 
 
+class Priors(_Section):
+    """Which contents and priors `pipeline.priors` compares."""
+
+    contents: Annotated[
+        tuple[HomeContents, ...], BeforeValidator(_listed), Field(min_length=1), AfterValidator(_distinct)
+    ]
+    trained_on: Annotated[tuple[HomeContents, ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+    others: Annotated[tuple[Literal["uniform", "truth"], ...], BeforeValidator(_listed), AfterValidator(_distinct)]
+
+
 class Optimality(_Section):
     """How far planners are from optimal: on how many trials and worlds it is measured."""
 
@@ -447,6 +460,7 @@ class Config(_Section):
     housekeep: Housekeep
     ablation: Ablation
     sensitivity: Sensitivity
+    priors: Priors
     optimality: Optimality
     replay: Replay
     cluster: Cluster

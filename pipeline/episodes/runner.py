@@ -7,6 +7,7 @@ from mrtask.planning.planners import PLANNERS
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
 from pipeline.base.config import Evaluation
+from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
 from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, unfinished_row, warm
@@ -78,8 +79,11 @@ def rows_of(
 
 
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
-    """Compiles the planners' kernels in the driver, once for all workers. A user's own planner runs in workers only."""
-    for name, key in {key.planner: key for key in reversed(missing)}.items():
+    """Compiles the planners' kernels, once for all workers. A user's own planner runs in workers only."""
+    firsts = {key.planner: key for key in reversed(missing)}
+    with compiled_meanwhile({name: context.planner(name) for name in firsts}):
+        pass
+    for name, key in firsts.items():
         if context.planner(name)[0] in PLANNERS:
             try:
                 warm(key, context)

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from mrtask.analysis.bounds.assess import assess
+from mrtask.analysis.calibration import Task, beliefs_of
 from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
@@ -142,7 +144,7 @@ def _run(
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial, key.planner, context, task, seen)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context, task, seen)
     home_map = bench.map_of(trial.home_id)
     result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
@@ -169,19 +171,25 @@ def _run(
 
 
 def _likelihood(
-    home: Home, trial: Trial, planner: str, context: Context, task: int = 0, seen: Sequence[Sighting] = ()
+    home: Home,
+    objects: Sequence[str],
+    seed: int,
+    planner: str,
+    context: Context,
+    task: int = 0,
+    seen: Sequence[Sighting] = (),
 ) -> NDArray[np.float64]:
     """``P(object in container)``, ``[C, O]``, as a planner is given it: corrected by what was seen if beliefs adapt."""
     options = context.given.get(planner, GivenOptions())
     table = context.table if options.source == "model" else context.truth
     if table is None:
         raise ValueError(f"{planner} is to be given the true likelihoods, which this evaluation has not got")
-    known = tuple(dict.fromkeys([*trial.objects, *(sighting.object for sighting in seen)]))
-    kinds, seed = home.container_kinds(), key_seed(trial.seed, "likelihood")
-    prior = given_likelihood(table.matrix(home, known), kinds, options, seed)
+    known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
+    kinds = home.container_kinds()
+    prior = given_likelihood(table.matrix(home, known), kinds, options, key_seed(seed, "likelihood"))
     if context.adapt is None or not seen:
-        return prior[:, : len(trial.objects)]
-    return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(trial.objects)]
+        return prior[:, : len(objects)]
+    return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(objects)]
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
@@ -189,8 +197,27 @@ def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, An
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial, key.planner, context)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
     return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
+
+
+@dataclass(frozen=True)
+class HomeTasks:
+    """A planner's tasks in one home, in order."""
+
+    planner: str
+    home_id: str
+    tasks: tuple[Task, ...]
+
+
+def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
+    """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
+    home = _bench(context).homes[done.home_id]
+
+    def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
+        return _likelihood(home, task.objects, task.seed, done.planner, context, number, seen)
+
+    return beliefs_of(home, done.tasks, believe)
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
@@ -198,7 +225,7 @@ def warm(key: EpisodeKey, context: Context) -> None:
     bench = _bench(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    likelihood = _likelihood(home, trial, key.planner, context)
+    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
     warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 

@@ -31,10 +31,15 @@ VERBATIM = ("task", "name", "token")
 
 def run(arguments: Sequence[str]) -> None:
     """The tool."""
-    given = overrides(arguments, VERBATIM)
-    options = load_options(GivenTeam, scenario_files(given, "live.yaml"), given)
+    options = read_options(arguments)
     session = LiveSession(_live(options), options.state, options.log)
     asyncio.run(_serve(options, session))
+
+
+def read_options(arguments: Sequence[str]) -> GivenTeam:
+    """The options on a command line; raises `UserError` with every mistake."""
+    given = overrides(arguments, VERBATIM)
+    return load_options(GivenTeam, scenario_files(given, "live.yaml"), given)
 
 
 def _live(options: GivenTeam) -> LiveTeam:

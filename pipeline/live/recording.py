@@ -59,7 +59,7 @@ def write(log: Path, recording: Path) -> int:
             time_ns = round(time_s * NS_PER_S)
             writer.add_message(channels[topic], time_ns, json.dumps(message).encode(), time_ns, sequence=count)
             count += 1
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 

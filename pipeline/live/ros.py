@@ -16,6 +16,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import atan2, cos, sin
 from time import monotonic
 from typing import Any, Protocol
@@ -133,6 +134,11 @@ class RosRobot:
         self._report("pose" if self._joined else "robot_joined", robot=self.name, x_m=x_m, y_m=y_m)
         self._joined = True
 
+    def localised(self, message: Message) -> None:
+        """Its localisation has said something: a message of geometry_msgs."""
+        place = message["pose"]["pose"]["position"]
+        self.is_at(float(place["x"]), float(place["y"]))
+
     def detects(self, message: Message) -> None:
         """Its detector has seen something: a message of vision_msgs."""
         if self._seen is None:
@@ -203,7 +209,7 @@ class _Rosbridge:
 
     def listen(self, topic: str, kind: str, take: Callable[[Message], None]) -> None:
         """Calls ``take`` with every message of a topic."""
-        self._lib.Topic(self.ros, topic, kind).subscribe(lambda message: self._inbox.put(lambda: take(message)))
+        self._lib.Topic(self.ros, topic, kind).subscribe(lambda message: self._inbox.put(partial(take, message)))
 
 
 class _Action:
@@ -217,11 +223,11 @@ class _Action:
         def on_end(result: Any) -> None:
             values = result["values"]
             reason = str(values.get("error_msg", "")) if isinstance(values, dict) else str(values)
-            self._inbox.put(lambda: ended(result["status"].name, reason))
+            self._inbox.put(partial(ended, result["status"].name, reason))
 
         def on_feedback(feedback: Any) -> None:
             place = feedback["current_pose"]["pose"]["position"]
-            self._inbox.put(lambda: passed(float(place["x"]), float(place["y"])))
+            self._inbox.put(partial(passed, float(place["x"]), float(place["y"])))
 
         return str(self._client.send_goal(self._lib.Goal(goal), on_end, on_feedback, on_end))
 
@@ -230,9 +236,14 @@ class _Action:
         self._client.cancel_goal(goal)
 
 
+def read_options(arguments: Sequence[str]) -> RosOptions:
+    """The options on a command line; raises `UserError` with every mistake."""
+    return load_options(RosOptions, [CONF_DIR / "ros.yaml"], overrides(arguments, VERBATIM))
+
+
 def run(arguments: Sequence[str]) -> None:
     """The tool."""
-    options = load_options(RosOptions, [CONF_DIR / "ros.yaml"], overrides(arguments, VERBATIM))
+    options = read_options(arguments)
     inbox: queue.Queue[Callable[[], None] | None] = queue.Queue()
     bridge = _Rosbridge(options.rosbridge, inbox)
     client = _connect(options)
@@ -254,7 +265,7 @@ def run(arguments: Sequence[str]) -> None:
             joined=name in welcome.get("robots", ()),
         )
         bridge.listen(f"{namespace}/{options.detections}", options.detections_type, robot.detects)
-        bridge.listen(f"{namespace}/{options.pose}", POSE_TYPE, lambda message, robot=robot: robot.is_at(*_xy(message)))
+        bridge.listen(f"{namespace}/{options.pose}", POSE_TYPE, robot.localised)
     broken = threading.Event()
 
     def lost(_: object) -> None:
@@ -295,13 +306,8 @@ def _take_orders(
 ) -> None:
     for order in client.orders():
         if (robot := robots.get(order["robot"])) is not None:
-            inbox.put(lambda robot=robot, order=order: robot.obey(order))  # type: ignore[misc]
+            inbox.put(partial(robot.obey, order))
     inbox.put(None)
-
-
-def _xy(message: Message) -> tuple[float, float]:
-    place = message["pose"]["pose"]["position"]
-    return float(place["x"]), float(place["y"])
 
 
 if __name__ == "__main__":

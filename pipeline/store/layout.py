@@ -5,14 +5,16 @@ episodes/             the rows, `EpisodeRow`, as Parquet
 evaluation.json       `EvaluationManifest`: written when all episodes are there
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
-report/               index.html, table.csv, replays/, and `ReportKey` in manifest.json
+report/               index.html, table.csv, replays/, tables/, figures/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
 replays/              a page for each trial that pipeline.replay was asked for
 sensitivity/          index.html, written by pipeline.sensitivity
 homes/, realism/      what draw=true and pipeline.realism leave
+scenario/             the paper's apartments, where pipeline.scenario was given this folder: the report judges them
 housekeep.csv         what pipeline.housekeep measured
 cells/<cell>/         of a sweep: one output_dir for each cell
-runs/<arm>-<key>/     of an ablation or a sensitivity page: one output_dir for each evaluation
+runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_dir for each evaluation
+beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
 """
 
 from mrtask.analysis.report import REPORT_FILE
@@ -32,13 +34,16 @@ REALISM = "realism"
 SENSITIVITY = "sensitivity"
 REPLAYS = "replays"
 HOUSEKEEP = "housekeep.csv"
+SCENARIO = "scenario"
 CELLS = "cells"
 RUNS = "runs"
+BELIEFS = "beliefs"
+"""A folder: a file for each arm."""
 
 
 def forget_episodes(folder: Folder) -> None:
     """Removes the episodes and all that was made from them."""
-    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES):
+    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
         folder.remove(name)
 
 

@@ -307,6 +307,8 @@ class EvaluationManifest(Record):
     None in manifests of earlier versions."""
     reach: Reach
     machine: Machine
+    packages: Mapping[str, str] = {}
+    """Versions of what computed the rows; empty for a run from before they were recorded."""
     peak_memory_mb: float | None
     """Of the worker that took most."""
     started: str

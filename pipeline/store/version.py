@@ -1,5 +1,6 @@
 """Which code made a result: git's description for people, and a hash of the sources to tell what is up to date."""
 
+import importlib.metadata
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -8,6 +9,9 @@ from mrtask.sources import ROOT, hash_folders
 
 STAGES = Path(__file__).parents[1].relative_to(ROOT).as_posix()
 """The folder of the stages: ``pipeline`` in a checkout, ``mrtask/pipeline`` where a wheel was installed."""
+
+DECIDING_PACKAGES = ("networkx", "numba", "numpy", "scikit-image", "scipy", "sentence-transformers", "shapely", "torch")
+"""What computes maps, likelihoods and plans: named where a paper says how its results were made."""
 
 
 @cache
@@ -29,6 +33,16 @@ def code_version() -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return _without_git()
+
+
+def public_version(package: str) -> str:
+    """The version as package indexes know it: ``2.13.0``, not the local build ``2.13.0+cpu``."""
+    return importlib.metadata.version(package).partition("+")[0]
+
+
+def package_versions() -> dict[str, str]:
+    """Of `DECIDING_PACKAGES`."""
+    return {name: public_version(name) for name in DECIDING_PACKAGES}
 
 
 def _without_git() -> str:

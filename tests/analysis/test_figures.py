@@ -6,9 +6,10 @@ import pytest
 
 from mrtask.analysis import figures
 from mrtask.analysis.episodes import checked_episodes
+from mrtask.analysis.exhibits import Picture
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import BASELINES, summarise
-from mrtask.analysis.style import data_uri, planner_label, planner_looks, seconds
+from mrtask.analysis.style import planner_label, planner_looks, seconds, svg_bytes
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 PUBLISHED = load_published()
@@ -83,20 +84,22 @@ def test_nothing_to_draw(summary):
 
 def test_costs_of_zero_are_drawn():
     frame = checked_episodes(rows("small", 1, {"pouct": [0.0, 0.0], "learned_myopic": [0.0, 0.0]}))
-    data_uri(figures.scatter(frame, summarise(frame), "pouct", BASELINES))
-    data_uri(figures.improvements(summarise(frame), PUBLISHED, "pouct", BASELINES))
+    svg_bytes(figures.scatter(frame, summarise(frame), "pouct", BASELINES))
+    svg_bytes(figures.improvements(summarise(frame), PUBLISHED, "pouct", BASELINES))
 
 
-def test_uri_is_svg_and_the_same_each_time(summary):
-    first, second = (data_uri(figures.mean_costs(summary, PUBLISHED)) for _ in range(2))
-    assert first == second
-    root = ElementTree.fromstring(base64.b64decode(first.partition(",")[2]))
-    assert root.tag.endswith("svg")
+def test_files_are_the_same_each_time(summary):
+    first, second = (Picture("costs", "Costs", "", figures.mean_costs(summary, PUBLISHED)) for _ in range(2))
+    assert ElementTree.fromstring(first.svg).tag.endswith("svg") and first.svg == second.svg
+    assert first.uri == "data:image/svg+xml;base64," + base64.b64encode(first.svg).decode()
+    pdf = first.pdf
+    assert pdf.startswith(b"%PDF") and pdf == second.pdf
+    assert b"/CreationDate" not in pdf and b"/Type3" not in pdf, "publishers refuse Type 3 fonts"
 
 
 def test_many_points_stay_small():
     episodes = checked_episodes(make_episodes(850, ["learned_myopic", "pouct"], ["small"], [1, 2]))
-    assert len(data_uri(figures.scatter(episodes, summarise(episodes), "pouct", BASELINES))) < 400_000
+    assert len(svg_bytes(figures.scatter(episodes, summarise(episodes), "pouct", BASELINES))) < 400_000
 
 
 def test_looks():

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 
 from mrtask.analysis.episodes import checked_episodes
-from mrtask.analysis.findings import find, main_planner, mixture_warnings
+from mrtask.analysis.findings import find, main_planner, mixture_warnings, partial_results
 from mrtask.analysis.published import load_published
 from mrtask.analysis.statistics import summarise
 from tests.analysis.synthetic import fail, make_episodes, rows
@@ -120,3 +120,45 @@ def test_mixed_runs_are_named():
 )
 def test_main_planner(planners, wanted, main):
     assert main_planner(planners, wanted) == main
+
+
+def partial(frame: pd.DataFrame) -> list[str]:
+    return list(partial_results(summarise(checked_episodes(frame))))
+
+
+def test_a_whole_run_lacks_nothing():
+    assert partial(make_episodes(3, ["learned_myopic", "pouct"])) == []
+    one_unlucky = rows("small", 1, {"pouct": [1.0] * 39 + [None]})
+    assert partial(one_unlucky) == [], "the table counts it; a warning would hide worse"
+
+
+def test_what_is_partial_is_said():
+    whole = {"learned_myopic": [1.0, 2.0, 3.0, 4.0]}
+    assert partial(rows("small", 1, whole | {"pouct": [None] * 4})) == [
+        "pouct finished none of its 4 episodes: it has no mean cost."
+    ]
+    assert partial(rows("small", 1, whole | {"pouct": [1.0, 2.0, 3.0, None]})) == [
+        "pouct finished 3 of 4 episodes: the others are in no mean."
+    ]
+    large = rows("large", 1, {"learned_myopic": [1.0], "pouct": [None]})
+    assert partial(pd.concat([rows("small", 1, whole | {"pouct": [1.0] * 4}), large])) == [
+        "pouct finished 4 of 5 episodes and none in large, 1 robot: means over all cells leave these out."
+    ]
+
+
+def test_missing_cells_are_named_or_counted():
+    small, large = (rows(size, 1, {"learned_myopic": [1.0] * 2}) for size in ("small", "large"))
+    own = rows("small", 1, {"pouct": [1.0] * 2})
+    assert partial(pd.concat([small, large, own])) == [
+        "pouct did not run in large, 1 robot: it is compared on fewer trials."
+    ]
+    more = [rows("medium", team, {"learned_myopic": [1.0] * 2}) for team in (1, 2, 3)]
+    assert partial(pd.concat([small, large, own, *more])) == [
+        "pouct did not run in 4 cells: it is compared on fewer trials."
+    ]
+
+
+def test_a_single_trial_is_called_one():
+    assert partial(rows("small", 1, {"pouct": [1.0], "learned_myopic": [2.0]})) == [
+        "There is a single trial: it shows what happened once, not what to expect."
+    ]

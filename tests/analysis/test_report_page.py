@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mrtask.analysis import sections
+from mrtask.analysis import exhibits
 from mrtask.analysis.report import render_report, write_report
 from mrtask.execution.trace import Leg, Trace
 from tests.analysis.synthetic import make_episodes
@@ -30,7 +30,8 @@ def page_path(two_room_home, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     with pytest.MonkeyPatch.context() as patch:
         # Drawing takes most of a report's time and is tested elsewhere.
-        patch.setattr(sections, "data_uri", lambda figure: "data:image/svg+xml;base64,PHN2Zy8+")
+        patch.setattr(exhibits, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
+        patch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
         return write_report(render_report(frame, {"output_dir": "outputs/x"}, {home.id: home}), folder)
 
 
@@ -80,3 +81,6 @@ def test_without_scripts_points_are_named_and_notable_trials_listed(browser, pag
         assert not page.locator(".filters").is_visible()
         assert page.locator(".dots circle title").count() == 12
         assert page.locator(".notable tbody tr").first.is_visible()
+        assert EVIL in page.locator("#templates ~ .scroll tbody th").all_text_contents()
+        page.locator(".answer a[href='#claims']").click()
+        assert page.url.endswith("#claims") and page.locator(".claims tbody tr").count() == 6

@@ -13,11 +13,11 @@ from mrtask.analysis.tables import (
     ABOVE,
     BELOW,
     LEVEL,
-    pair_table,
     paper_table,
     real_world_table,
     variant_table,
 )
+from mrtask.analysis.wins import pair_table
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 PUBLISHED = load_published()

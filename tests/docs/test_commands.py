@@ -24,7 +24,10 @@ from mrtask.cli import STAGES
 from mrtask.suite.score import Request
 from pipeline.app.main import CONF_DIR, _for_hydra
 from pipeline.base.config import load
+from pipeline.live.process import read_options as live_options
+from pipeline.live.ros import read_options as ros_options
 from simulators.pyrobosim.__main__ import read_options
+from tests.pipeline.test_own_map import CONTAINERS, write_lab
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "datasets" / "README.md"])
@@ -151,6 +154,13 @@ def _check(command: list[str], folder: Path) -> None:
         Request.parse(arguments[1:])
     elif program == "mrtask":
         assert arguments == ["doctor"]
+    elif program == "python" and arguments[:2] == ["-m", "pipeline.live"]:
+        write_lab(folder, CONTAINERS)
+        live_options(arguments[2:])
+    elif program == "python" and arguments[:2] == ["-m", "pipeline.live.ros"]:
+        ros_options(arguments[2:])
+    elif program == "python" and arguments[:2] == ["-m", "pipeline.live.recording"]:
+        assert len(arguments) == 4
     elif program == "python" and arguments[0] == "-m" and arguments[1].startswith("pipeline."):
         assert arguments[1].removeprefix("pipeline.") in STAGES
         _check_overrides(arguments[2:])

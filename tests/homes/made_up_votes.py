@@ -1,6 +1,7 @@
 """Made-up votes in the format of the real ones, small enough to know by heart."""
 
 import io
+import os
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +29,16 @@ def content(seed: int = 0) -> dict[str, Any]:
         for annotator in range(ANNOTATORS):
             ranks[[best, *rng.permutation(others)[:4]], index, annotator] = (1, 2, 3, -1, -2)
     return {"ranks": ranks, "objects": [np.str_(name) for name in OBJECTS], "room_receptacles": list(PLACEMENTS)}
+
+
+class Evil:
+    """What a pickle can do: makes a folder where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return os.mkdir, (str(self.path),)
 
 
 def write(path: Path, given: object = None, numpy_1: bool = True) -> Path:

@@ -1,7 +1,6 @@
 """Votes are read without running what a pickle asks for, and bad data are refused in a sentence."""
 
 import hashlib
-import os
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from mrtask.homes.votes import (
     split_objects,
     splits_hash,
 )
-from tests.homes.made_up_votes import content, write, write_splits
+from tests.homes.made_up_votes import Evil, content, write, write_splits
 
 HUMAN = Path(__file__).parents[2].parent / "shared" / "human"
 
@@ -43,16 +42,6 @@ def test_the_checksum_is_checked_where_one_is_given(tmp_path):
         read_votes(path, "0" * 64)
 
 
-class Evil:
-    """What a pickle can do."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.path),)
-
-
 def test_no_class_but_numpys_arrays_is_unpickled(tmp_path):
     path = write(tmp_path / "votes.npy", content() | {"more": Evil(tmp_path / "ran")})
     with pytest.raises(
@@ -73,6 +62,7 @@ def test_no_class_but_numpys_arrays_is_unpickled(tmp_path):
         ({"room_receptacles": ["kitchen"] * 17}, r"must be named room\|receptacle, got 'kitchen'"),
         ({"objects": ["mug", " ", "pillow", "brush", "toy", "key"]}, r"' ' is no object name; letters"),
         ({"objects": ["mug", "Mug", "pillow", "brush", "toy", "key"]}, r"two objects are called 'mug'"),
+        ({"objects": [], "ranks": np.zeros((17, 0, 4), dtype=int)}, r"ranks must be .* none empty"),
     ],
 )  # fmt: skip
 def test_data_that_do_not_fit_together_are_refused(changed, message, tmp_path):
@@ -111,6 +101,8 @@ def test_splits(tmp_path):
     assert split_objects(splits, "test") == ("CatToy", "SpareKey")
     with pytest.raises(VotesError, match="unknown split 'validation' of the objects; allowed: train, val, test"):
         split_objects(splits, "validation")
+    with pytest.raises(VotesError, match="the split 'val' has no objects; give other splits"):
+        split_objects({"train": ("Mug",), "val": (), "test": ("Pen",)}, "val")
     assert read_splits(path, splits_hash(splits)) == splits
     with pytest.raises(VotesError, match=r"its names have the sha256 .*: these are other splits"):
         read_splits(path, "0" * 64)

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pandas as pd
 
-from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
+from mrtask.likelihood.rows import TRIPLE, count_triples, distinct_triples, label_rows, vocabulary
 
 
 def test_one_row_per_container_and_object_in_their_order(home_of):
@@ -41,3 +41,15 @@ def test_distinct_triples_equal_a_naive_count(made_up_homes):
     triples = distinct_triples(rows)
     found = {tuple(row[:3]): tuple(row[3:]) for row in triples.to_numpy().tolist()}
     assert found == {key: (positives[key], count[key]) for key in count}
+
+
+def test_counts_of_homes_are_those_of_their_rows(made_up_homes):
+    homes = made_up_homes["train"][:20]
+    objects = vocabulary(homes)
+    rows = pd.concat([label_rows(home, objects) for home in homes])
+    pd.testing.assert_frame_equal(
+        count_triples(homes).sort_values(TRIPLE, ignore_index=True), distinct_triples(rows), check_like=True
+    )
+    some = count_triples(homes, ["Mug", "Apple"])
+    assert set(some["object"]) == {"Mug", "Apple"}
+    assert some["positives"].sum() == rows[rows["object"].isin(["Mug", "Apple"])]["label"].sum()

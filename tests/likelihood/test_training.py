@@ -8,6 +8,7 @@ from mrtask.homes.procthor import read_houses
 from mrtask.likelihood.dataset import build_dataset
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import NetworkOptions, TrainingOptions
+from mrtask.likelihood.rows import SPLITS
 from mrtask.likelihood.training import score_unseen, train_model
 
 NETWORK = NetworkOptions(layers=(32, 16), max_epochs=150, patience=150, batch_size=64, device="cpu", threads=1)
@@ -41,7 +42,7 @@ def test_unknown_kind(made_up_dataset):
 
 def test_unseen_names_are_predicted_without_their_counts(made_up_dataset):
     """The frequency table then knows no more than the kind of container."""
-    found = score_unseen(made_up_dataset, TrainingOptions("frequency"))
+    found = score_unseen({split: made_up_dataset.triples(split) for split in SPLITS}, TrainingOptions("frequency"))
     seen = train_model(made_up_dataset, TrainingOptions("frequency")).metrics
     assert found["rows"] == seen["test"]["rows"] and found["log_loss"] > seen["test"]["log_loss"] + 0.1
     assert seen["unseen"] == found

@@ -1,23 +1,19 @@
 """Robots on ROS: what a robot makes of its orders, and a whole task over rosbridge's protocol."""
 
-import asyncio
 import threading
 import time
 from contextlib import contextmanager
 
 import pytest
 
-from mrtask.live.session import LiveSession
 from pipeline.app.tool import CONF_DIR, load_options
 from pipeline.base.config import UserError
 from pipeline.live import ros
-from pipeline.live.process import SessionHub
-from pipeline.live.websocket import serve
 from tests.live.rosbridge import ABORTED, Rosbridge
+from tests.live.serving import ENDS_WITHIN_S, live_process
 from tests.live.test_team import two_robots
 
 pytest.importorskip("roslibpy")
-ENDS_WITHIN_S = 60.0
 
 
 class Wheels:
@@ -134,34 +130,12 @@ def test_places_are_reported_now_and_then_and_a_robot_that_is_not_known_joins():
     bench = Bench(joined=False, pose_every_s=1.0)
     for now_s in (0.0, 0.5, 1.0, 1.9, 2.5):
         bench.now_s = now_s
-        bench.robot.is_at(now_s, 7.0)
+        bench.robot.localised({"pose": {"pose": {"position": {"x": now_s, "y": 7.0, "z": 0.0}}}})
     assert [(kind, fields["x_m"]) for kind, fields in bench.said] == [
         ("robot_joined", 0.0),
         ("pose", 1.0),
         ("pose", 2.5),
     ]
-
-
-@contextmanager
-def live_process(live):
-    """The live team on a WebSocket of this process; gives the port."""
-    session, loop, ready = LiveSession(live), asyncio.new_event_loop(), threading.Event()
-    ports, done = [], asyncio.Event()
-    session.begin()
-
-    async def run():
-        async with serve(SessionHub(session), "127.0.0.1", 0, None) as port:
-            ports.append(port)
-            ready.set()
-            await done.wait()
-
-    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
-    thread.start()
-    assert ready.wait(ENDS_WITHIN_S)
-    yield ports[0]
-    loop.call_soon_threadsafe(done.set)
-    thread.join(ENDS_WITHIN_S)
-    loop.close()
 
 
 @contextmanager

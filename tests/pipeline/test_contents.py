@@ -17,7 +17,7 @@ from pipeline.base.config import Contents, UserError
 from pipeline.store import voted_contents as module
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.voted_contents import voted_contents
-from tests.homes.made_up_votes import write, write_splits
+from tests.homes.made_up_votes import Evil, content, write, write_splits
 from tests.pipeline import harness
 from tests.pipeline.harness import Cli
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
@@ -179,11 +179,23 @@ def test_models_are_measured_on_objects_that_they_never_saw(cli: Cli, tmp_path: 
         (("contents.sha256=null", "contents.misplaced=2"), "contents.misplaced=2: must be at most 1"),
         (("contents.sha256=null", "contents.table=gone.toml"), "gone.toml is no table of receptacles"),
         (("contents.sha256=null", "contents.objects=val", "contents.splits=gone.yaml"), "no such file of splits"),
+        (
+            ("contents.sha256=null", "contents.objects=val", "contents.splits=none.yaml"),
+            "the split 'val' has no objects",
+        ),
+        (("contents.sha256=null", "contents.file=evil.npy"), "asks for posix.mkdir; only numpy's arrays are allowed"),
+        (("contents.sha256=null", "contents.file=nowhere.npy"), "nobody knows a right place for the object 'mug'"),
     ],
 )
 def test_mistakes_are_told_in_one_line(options: tuple[str, ...], message: str, cli: Cli, tmp_path: Path) -> None:
     write(tmp_path / "votes.npy")
+    write_splits(tmp_path / "none.yaml", {"train": ["mug"], "val": [], "test": ["cat toy"]})
+    write(tmp_path / "evil.npy", content() | {"more": Evil(tmp_path / "ran")})
+    ranks = content()["ranks"]
+    ranks[:, 0] = 0
+    write(tmp_path / "nowhere.npy", content() | {"ranks": ranks})
     done = cli("homes", *SMALL, "homes.contents=housekeep", "contents.file=votes.npy", *options)
     assert done.code == 2
     assert message in done.err and "Traceback" not in done.err
+    assert not (tmp_path / "ran").exists(), "nothing of a pickle is run"
     assert not list((tmp_path / "datasets").glob("generated/*")), "nothing is made before it is refused"

@@ -87,7 +87,12 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
         100 * (1 - means["pouct"] / means["nonlearned_myopic"])
     )
     assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
-    assert client.list_artifacts(runs["evaluate"].info.run_id, "report")
+    of_evaluation = runs["evaluate"].info.run_id
+    logged = {artifact.path for artifact in client.list_artifacts(of_evaluation, "report")}
+    assert {"report/index.html", "report/table.csv", "report/tables", "report/figures"} <= logged
+    table = client.load_table(store.experiment_id, "table.json", run_ids=[of_evaluation])
+    written = pd.read_csv(workspace.output_dir / "report" / "table.csv")
+    assert table["mean_cost_s"].to_numpy() == pytest.approx(written["mean_cost_s"].to_numpy(), rel=1e-5)
 
 
 def test_homes_are_split_and_evaluation_homes_are_new(workspace: Workspace) -> None:

@@ -5,12 +5,17 @@ from math import prod
 import numpy as np
 import pytest
 
-from mrtask.planning.paper_belief_kernel import AUTOMATON, LOCATED, copy_belief, sample_outcome
+from mrtask.planning import paper_belief_kernel as kernel
+from mrtask.planning.compiled import compiled
+from mrtask.planning.paper_belief_kernel import AUTOMATON, LOCATED
 from mrtask.planning.paper_team import blank_belief, paper_model, root_belief, sufficient_sets
+from mrtask.planning.team import state_records
 from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import build_automaton
 from tests.planning.algorithm1 import RobotAction, TeamBelief, advance_belief_until_robot_free
 from tests.planning.problems import random_problem
+
+copy_belief, sample_outcome = compiled(kernel.copy_belief), compiled(kernel.sample_outcome)
 
 
 def random_team(seed, robots=3, containers=4):
@@ -118,23 +123,22 @@ def test_the_kernel_draws_algorithm_1s_outcomes(seed, exists):
     model = paper_model(problem, exists=exists)._replace(
         prob=np.array([[likelihood[c, o] for o in range(3)] for c in range(4)]),
         transitions=automaton.transitions.astype(np.int32),
-        accepting=automaton.accepting.astype(np.uint8),
-        advancing=(automaton.advancing * (1 << np.arange(3))).sum(axis=1).astype(np.int64),
+        states=state_records(automaton),
     )
     root, scratch = root_belief(problem, model), blank_belief(problem)
     root.state[AUTOMATON] = team.state
     for container, obj in team.present:
-        root.present[container] |= 1 << obj
+        root.containers[container].present |= 1 << obj
         root.state[LOCATED] |= 1 << obj
     for container, obj in team.absent:
-        root.absent[container] |= 1 << obj
+        root.containers[container].absent |= 1 << obj
     for obj in range(3):
         open_pairs = [pair for pair in likelihood if pair[1] == obj and pair not in team.present | team.absent]
         root.nowhere[obj] = prod(1 - likelihood[pair] for pair in open_pairs)
     for robot, action in enumerate(team.actions):
         if action:
-            root.place[robot], root.obj[robot] = action.pair
-            root.arrive_s[robot], root.done_s[robot] = action.arrive_s, action.done_s
+            root.robots[robot].place, root.robots[robot].obj = action.pair
+            root.robots[robot].arrive_s, root.robots[robot].done_s = action.arrive_s, action.done_s
     rng, draws, seen = np.array([seed], dtype=np.uint64), 20_000, Counter()
     for _ in range(draws):
         copy_belief(model, root, scratch)

@@ -5,17 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrtask.planning import compiled as compiling
+from mrtask.planning import paper_action_kernel, paper_leaf_kernel
 from mrtask.planning import paper_kernel as kernel
-from mrtask.planning.compiled import random_unit
+from mrtask.planning.compiled import compiled
 from mrtask.planning.paper import PaperOptions, PaperSearch
-from mrtask.planning.paper_action_kernel import next_action
-from mrtask.planning.paper_leaf_kernel import rest_s
 from mrtask.planning.paper_team import blank_belief
 from mrtask.planning.problem import RobotStatus
 from mrtask.planning.tree import edges_of
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
 from tests.planning.naive_random import SplitMix64
 from tests.planning.problems import random_problem, tiny_problem
+
+act, any_undecided, copy_belief = compiled(kernel.act), compiled(kernel.any_undecided), compiled(kernel.copy_belief)
+decision_node, mark_undecided = compiled(kernel.decision_node), compiled(kernel.mark_undecided)
+may_wait, sample_outcome = compiled(kernel.may_wait), compiled(kernel.sample_outcome)
+next_action, rest_s = compiled(paper_action_kernel.next_action), compiled(paper_leaf_kernel.rest_s)
+random_unit = compiled(compiling.random_unit)
 
 
 def odd_problem(seed):
@@ -62,18 +68,18 @@ def assert_equal(compiled, belief):
     """A kernel's belief and a twin's hold the same."""
     assert (compiled.clock[0], compiled.state[0]) == (belief.clock_s, belief.z)
     assert compiled.state[1] == mask(belief.located())
-    assert set(np.flatnonzero(compiled.searched)) == belief.searched
-    for c, (present, absent) in enumerate(zip(compiled.present, compiled.absent, strict=True)):
+    assert set(np.flatnonzero(compiled.containers.searched)) == belief.searched
+    for c, (present, absent) in enumerate(zip(compiled.containers.present, compiled.containers.absent, strict=True)):
         assert present == mask(o for (k, o), there in belief.known.items() if k == c and there)
         assert absent == mask(o for (k, o), there in belief.known.items() if k == c and not there)
     assert compiled.nowhere.tolist() == belief.nowhere
     for index, robot in enumerate(belief.robots):
-        assert compiled.undecided[index] == robot.undecided
-        assert compiled.under_way[index] == robot.under_way
-        assert compiled.place[index] == (kernel.NONE if robot.place is None else robot.place)
-        assert compiled.obj[index] == (kernel.NONE if robot.obj is None else robot.obj)
+        assert compiled.robots[index].undecided == robot.undecided
+        assert compiled.robots[index].under_way == robot.under_way
+        assert compiled.robots[index].place == (kernel.NONE if robot.place is None else robot.place)
+        assert compiled.robots[index].obj == (kernel.NONE if robot.obj is None else robot.obj)
         if robot.obj is not None:
-            times_s = (compiled.arrive_s[index], compiled.done_s[index], compiled.reach_s[index])
+            times_s = (compiled.robots[index].arrive_s, compiled.robots[index].done_s, compiled.robots[index].reach_s)
             assert times_s == (robot.arrive_s, robot.done_s, robot.reach_s)
 
 
@@ -115,30 +121,30 @@ def test_random_plays_are_equal_step_by_step(problem, options):
     for seed in range(3):
         twin, rng = NaivePaperSearch(problem, options, seed=seed), np.array([seed], dtype=np.uint64)
         belief = twin.start
-        kernel.copy_belief(model, search.root, compiled)
+        copy_belief(model, search.root, compiled)
         assert_equal(compiled, belief)
         for _ in range(60):
             assert rest_s(model, compiled, search.bound, search.rollouts, rng) == twin.rest_s(belief)
             for robot in belief.undecided():
                 search.tree.size[:] = 0
-                node = kernel.decision_node(compiled, search.tree, kernel.NONE)
+                node = decision_node(compiled, search.tree, kernel.NONE)
                 allowed = twin.actions(belief, robot)
                 assert tried(search, compiled, node) == allowed
-                assert kernel.may_wait(compiled, robot) == twin.may_wait(belief, robot)
+                assert may_wait(compiled, robot) == twin.may_wait(belief, robot)
                 action = [*allowed, WAIT][choice.integers(len(allowed) + 1)]
                 twin.act(belief, robot, action)
-                kernel.act(model, compiled, robot, WAIT if action == WAIT else action[0] * objects + action[1])
+                act(model, compiled, robot, WAIT if action == WAIT else action[0] * objects + action[1])
             assert_equal(compiled, belief)
-            assert not kernel.any_undecided(compiled)
+            assert not any_undecided(compiled)
             freed = twin.advance(belief)
-            order = kernel.sample_outcome(model, compiled, rng)
+            order = sample_outcome(model, compiled, rng)
             assert order == (kernel.NONE if freed is None else 2 * freed[0] + freed[1])
             assert_equal(compiled, belief)
             assert int(rng[0]) == twin.random.state
             if freed is None or twin.accepting[belief.z]:
                 break
             twin.put_up(belief)
-            kernel.mark_undecided(model, compiled)
+            mark_undecided(model, compiled)
             assert_equal(compiled, belief)
 
 
@@ -155,18 +161,18 @@ def tried(search, belief, node):
 
 def assert_equal_trees(tree, index, node, objects, close=0.0):
     """The kernel's tree from a node on and the twin's: visits, tries, totals, children, and what keys stand for."""
-    assert (tree.robot[index], tree.visits[index]) == (node.robot, node.visits)
+    assert (tree.nodes[index].robot, tree.nodes[index].visits) == (node.robot, node.visits)
     edges = edges_of(tree, index)[::-1]
     assert len(edges) == len(node.edges)
     for edge, twin in zip(edges, node.edges, strict=True):
-        assert tree.action[edge] == (WAIT if twin.action == WAIT else twin.action[0] * objects + twin.action[1])
-        assert tree.edge_visits[edge] == twin.tries
-        assert tree.total_s[edge] == pytest.approx(twin.total_s, rel=close, abs=0)
-        child = tree.first_child[edge]
+        assert tree.edges[edge].action == (WAIT if twin.action == WAIT else twin.action[0] * objects + twin.action[1])
+        assert tree.edges[edge].visits == twin.tries
+        assert tree.edges[edge].total_s == pytest.approx(twin.total_s, rel=close, abs=0)
+        child = tree.edges[edge].first_child
         for twin_child in twin.children:
-            assert tree.key[child] == encoded(twin_child.label)
+            assert tree.nodes[child].key == encoded(twin_child.label)
             assert_equal_trees(tree, child, twin_child, objects, close)
-            child = tree.sibling[child]
+            child = tree.nodes[child].sibling
         assert child == kernel.NONE
 
 

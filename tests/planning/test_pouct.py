@@ -264,7 +264,6 @@ def test_a_planner_of_ones_own_is_named_by_its_import_path():
 
 def test_histories_of_many_containers_do_not_meet():
     containers, held = np.arange(130), np.arange(4)[:, None]
-    after = getattr(history_after, "py_func", history_after)
-    once = after(np.int64(0), held, containers, len(containers)).ravel()
-    twice = after(once[:, None, None], held, containers, len(containers)).ravel()
+    once = history_after(np.int64(0), held, containers, len(containers)).ravel()
+    twice = history_after(once[:, None, None], held, containers, len(containers)).ravel()
     assert len({0, *once.tolist(), *twice.tolist()}) == 1 + len(once) + len(twice)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.planning.compiled import compiled
+from mrtask.planning.compiled import compiled, inlined
 
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -46,12 +46,12 @@ class Search(NamedTuple):
     costs: F8  # [n] scratch
 
 
-@compiled
+@inlined
 def _digit(search: Search, locations: int, obj: int) -> int:
     return int((locations // search.stride[obj]) % (search.prob.shape[0] + 1))
 
 
-@compiled
+@inlined
 def _settled_state(search: Search, z: int, held: int) -> int:
     """The state after the harmless interactions with ``held`` that lead nearer to acceptance, nearest first."""
     objects = search.prob.shape[1]
@@ -68,7 +68,7 @@ def _settled_state(search: Search, z: int, held: int) -> int:
         z = search.transitions[z, best]
 
 
-@compiled
+@inlined
 def _value_after(search: Search, value: F8, searched: int, z: int, settled: int, locations: int, c: int) -> float:
     """`value` once the robot has done at c what leads from state z to ``settled``; every letter is a step there."""
     letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
@@ -77,7 +77,7 @@ def _value_after(search: Search, value: F8, searched: int, z: int, settled: int,
     return letters_s + float(value[searched, settled, locations, c])
 
 
-@compiled
+@inlined
 def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> int:
     """Fills ``search.relevant`` with the objects whose presence in a container matters, and returns their number."""
     count = 0
@@ -93,7 +93,7 @@ def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> 
     return count
 
 
-@compiled
+@inlined
 def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) -> float:
     """That a container holds an object, given what was found in those searched."""
     if (found >> obj) & 1:
@@ -101,7 +101,7 @@ def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) 
     return float(min(search.prob[c, obj] / (1.0 - search.nowhere[searched, obj]), 1.0))
 
 
-@compiled
+@inlined
 def _expected_s(search: Search, value: F8, searched: int, z: int, locations: int, c: int) -> float:
     """The mean of `value` after a search of c in the simplified problem."""
     count = _list_relevant(search, z, locations, False)
@@ -123,7 +123,7 @@ def _expected_s(search: Search, value: F8, searched: int, z: int, locations: int
     return total_s
 
 
-@compiled
+@inlined
 def _locations_valid(search: Search, searched: int, locations: int) -> bool:
     for obj in range(search.prob.shape[1]):
         if search.stride[obj] > 0:
@@ -177,7 +177,7 @@ def solve_simplified(search: Search, value: F8) -> None:
                     value[searched, z, locations, place] = best_s if best_s < np.inf else 0.0
 
 
-@compiled
+@inlined
 def _guess_s(search: Search, value: F8, world: I8, before: int, z: int, c: int, held: int) -> float:
     """The approximate time to go after the robot, in state z, has found ``held`` in c.
 
@@ -207,7 +207,7 @@ def _guess_s(search: Search, value: F8, world: I8, before: int, z: int, c: int, 
     return best_s
 
 
-@compiled
+@inlined
 def _penalty_s(search: Search, value: F8, world: I8, searched: int, found: int, z: int, c: int) -> float:
     """The mean of `_guess_s` over what a search of c may find, less what it is for what ``world`` has there.
 

@@ -47,8 +47,11 @@ def test_waiting_for_two_hidden_objects_lifts_a_teams_bound_above_clairvoyance()
 
 
 @pytest.mark.parametrize("interact_time_s", [0.0, 1.5])
-@pytest.mark.parametrize("robots", [1, 2, 3])
-@pytest.mark.parametrize("template", ["and3", "and_or", "seq3", "or_seq"])
+@pytest.mark.parametrize(
+    ("template", "robots"),
+    # Not three robots and four objects: that takes the exact solver a minute.
+    [*product(["and3", "and_or", "seq3"], [1, 2, 3]), ("or_seq", 1), ("or_seq", 2)],
+)
 def test_the_clairvoyant_makespan_is_the_optimum_of_the_problem_with_everything_searched(
     template, robots, interact_time_s
 ):

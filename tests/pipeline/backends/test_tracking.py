@@ -132,6 +132,17 @@ def test_run_records_all_it_is_given(store, dataset, good, tmp_path):
     assert {"notes/note.txt", "dataset/manifest.json", "figures/reliability.png", "metrics/test_by_object.csv"} <= files
 
 
+def test_a_table_is_replaced_and_shown_beside_others(store):
+    first = pd.DataFrame({"planner": ["pouct", "greedy"], "mean_cost_s": [1.5, float("nan")]})
+    with tracking.run(store, "evaluate", {}, {}) as run:
+        tracking.log_table(run, first, "table.json")
+    tracking.log_table(run, first.head(1).assign(mean_cost_s=2.5), "table.json")
+    kept = mlflow.MlflowClient().load_table(store.experiment_id, "table.json", run_ids=[run.run_id])
+    assert kept.to_dict("records") == [{"planner": "pouct", "mean_cost_s": 2.5}]
+    shown = json.loads(mlflow.MlflowClient().get_run(run.run_id).data.tags["mlflow.loggedArtifacts"])
+    assert shown == [{"path": "table.json", "type": "table"}]
+
+
 def test_runs_end_as_they_were_left_and_have_children(store):
     client = mlflow.MlflowClient()
     with tracking.run(store, "parent", {}, {}) as parent, tracking.run(store, "child", {}, {}, parent.run_id) as child:

@@ -1,0 +1,13 @@
+"""Likelihoods of objects that are known to be somewhere, as every task's object is."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.likelihood.model import clip_probs
+
+Floats = NDArray[np.float64]
+
+
+def given_existence(probs: Floats) -> Floats:
+    """``P(object in container | it is in some container)``, ``[C, O]``, where containers are independent."""
+    return clip_probs(probs / -np.expm1(np.log1p(-clip_probs(probs)).sum(axis=0)))

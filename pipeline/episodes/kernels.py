@@ -1,0 +1,32 @@
+"""Compiles the planners' kernels once, where no earlier run has left them, and several at once."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mrtask.planning.planners import PLANNERS
+from mrtask.planning.warm_up import Compilation, Planners, kernels_missing
+from pipeline.base import console
+
+
+@contextmanager
+def compiled_meanwhile(planners: Planners) -> Iterator[None]:
+    """Compiles what the planners need in other processes while the context runs, and waits for them at its end.
+
+    A user's own planner is compiled where it plans.
+    """
+    ours = {name: planner for name, planner in planners.items() if planner[0] in PLANNERS}
+    if not ours or not kernels_missing():
+        yield
+        return
+    with Compilation(ours) as compilation:
+        yield
+        began_s = time.monotonic()
+        with console.Progress(len(ours), "planners compiled") as progress:
+            for name, error in compilation.finished():
+                progress.update()
+                if error:  # the run goes on: its episodes will be rows of status error
+                    console.line(f"{name} could not be compiled: {error}")
+        console.line(
+            f"planners compiled, once for this code ({console.duration(time.monotonic() - began_s)} of waiting)"
+        )
