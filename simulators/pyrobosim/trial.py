@@ -27,7 +27,7 @@ from simulators.pyrobosim.world import RESOLUTION_M, World
 
 MAX_TIME_S = 1800.0
 """Of the simulation; a task that takes longer has failed."""
-ANSWER_WITHIN_S = 120.0
+ANSWER_WITHIN_S, END_WITHIN_S = 120.0, 60.0
 POSE_M = 0.01
 """A robot that moved less than this since its last pose sends none."""
 
@@ -154,7 +154,7 @@ def _end(client: PipeClient) -> None:
     if process.stdin is not None:
         process.stdin.close()
     try:
-        process.wait(timeout=10)
+        process.wait(timeout=END_WITHIN_S)
     except Exception:
         process.kill()
         process.wait()
