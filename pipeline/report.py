@@ -90,7 +90,7 @@ def compare_cells(config: Config, run_id: str | None) -> None:
 def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Folder:
     """The folder of the report on what an output folder holds; the report is written unless it is there already.
 
-    It is kept with the MLflow run ``run_id`` too; by default with that of the evaluation.
+    It is kept with the MLflow run ``run_id`` too, if the store has it; by default with that of the evaluation.
     """
     began_s = time.monotonic()
     collected = collect(folder)
@@ -108,8 +108,11 @@ def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Fol
         target.upload(Path(temporary))
         store = tracking.open_tracking(registry.uri, registry.experiment_name)
         kept_with = tracking.Run(store, run_id or collected.manifest.run_id)
-        tracking.log_artifact(kept_with, Path(temporary), REPORT)
-        tracking.log_table(kept_with, table, TABLE_ARTIFACT)
+        if tracking.has_run(store, kept_with.run_id):
+            tracking.log_artifact(kept_with, Path(temporary), REPORT)
+            tracking.log_table(kept_with, table, TABLE_ARTIFACT)
+        else:
+            console.line(f"tracking.uri={registry.uri} does not hold this evaluation: MLflow gets no copy of the report")
     key.write(target, REPORT_KEY)
     console.result(target / REPORT_INDEX, time.monotonic() - began_s)
     return target

@@ -182,16 +182,23 @@ def run(
         mlflow.end_run(status)
 
 
-def end_abandoned(tracking: Tracking, run_id: str) -> None:
-    """Mark a run KILLED whose driver is gone without having ended it; for whoever continues its work."""
-    client = mlflow.MlflowClient(tracking.uri)
+def has_run(tracking: Tracking, run_id: str) -> bool:
+    """Whether the store holds the run; it does not where the run was recorded in another store."""
     try:
-        status = client.get_run(run_id).info.status
+        mlflow.MlflowClient(tracking.uri).get_run(run_id)
     except MlflowException as error:
         if error.error_code != "RESOURCE_DOES_NOT_EXIST":
             raise
-        return  # recorded in another store
-    if status == "RUNNING":
+        return False
+    return True
+
+
+def end_abandoned(tracking: Tracking, run_id: str) -> None:
+    """Mark a run KILLED whose driver is gone without having ended it; for whoever continues its work."""
+    if not has_run(tracking, run_id):
+        return
+    client = mlflow.MlflowClient(tracking.uri)
+    if client.get_run(run_id).info.status == "RUNNING":
         client.set_terminated(run_id, "KILLED")
 
 

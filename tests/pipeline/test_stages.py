@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -316,6 +317,14 @@ def test_report_without_episodes_is_refused(cli: Cli) -> None:
     done = cli("report", "output_dir=empty")
     assert done.code == 2
     assert "no finished evaluation in empty; run python -m pipeline.evaluate" in done.err
+
+
+def test_a_run_of_another_store_is_reported_on(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    shutil.copytree(workspace.output_dir, tmp_path / "given", ignore=shutil.ignore_patterns("report", ".lock"))
+    done = cli("report", f"output_dir={tmp_path / 'given'}", f"tracking.uri=sqlite:///{tmp_path / 'own.db'}")
+    assert done.code == 0, done.err
+    assert "own.db does not hold this evaluation" in done.out
+    assert (tmp_path / "given" / "report" / "index.html").is_file()
 
 
 def test_a_real_process_ends_with_one_message_and_no_traceback(tmp_path: Path) -> None:
