@@ -112,7 +112,9 @@ def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Fol
             tracking.log_artifact(kept_with, Path(temporary), REPORT)
             tracking.log_table(kept_with, table, TABLE_ARTIFACT)
         else:
-            console.line(f"tracking.uri={registry.uri} does not hold this evaluation: MLflow gets no copy of the report")
+            console.line(
+                f"tracking.uri={registry.uri} does not hold this evaluation: MLflow gets no copy of the report"
+            )
     key.write(target, REPORT_KEY)
     console.result(target / REPORT_INDEX, time.monotonic() - began_s)
     return target
