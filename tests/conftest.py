@@ -24,23 +24,19 @@ SHARED_HOMES = Path(__file__).resolve().parents[2] / "shared" / "homes"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Where several processes share the tests, each of two has a Ray session and a finished experiment of its own.
 
-    Of the other tests those of one file stay together. The longest come first.
+    Tests of one file stay together, since they share what its fixtures set up. The longest come first.
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    files = sorted({_file(item) for item in items if _needs_ray(item)})
+    files = sorted({_file(item) for item in items if "ray_session" in getattr(item, "fixturenames", ())})
     for item in items:
-        together = f"ray-{files.index(_file(item)) % RAY_SESSIONS}" if _needs_ray(item) else _file(item)
-        item.add_marker(pytest.mark.xdist_group(together))
-    items.sort(key=lambda item: not _needs_ray(item))
+        file = _file(item)
+        item.add_marker(pytest.mark.xdist_group(f"ray-{files.index(file) % RAY_SESSIONS}" if file in files else file))
+    items.sort(key=lambda item: _file(item) not in files)
 
 
 def _file(item: pytest.Item) -> str:
     return item.nodeid.partition("::")[0]
-
-
-def _needs_ray(item: pytest.Item) -> bool:
-    return "ray_session" in getattr(item, "fixturenames", ())
 
 
 ASSETS: AssetDatabase = {

@@ -141,7 +141,8 @@ def _commands(script: str, folder: Path) -> Iterator[list[str]]:
 
 
 def _environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name != "BASH_ENV"}
+    """Without what `make test ARGS=...` was given, which `make` hands on."""
+    return {name: value for name, value in os.environ.items() if name not in {"BASH_ENV", "ARGS", "MAKEFLAGS"}}
 
 
 def _check(command: list[str], folder: Path) -> None:

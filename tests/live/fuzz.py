@@ -153,15 +153,15 @@ class Stream:
         live, team = self.live, self.live.team
         belief = team.belief
         assert ((belief.posterior >= 0) & (belief.posterior <= 1)).all()
+        sights = {key: present for key, (_, present) in self.found.items() if present is not None}
+        for (container, name), present in sights.items() if self.certain else ():
+            obj = live.setup.task.propositions.index(name)
+            assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         told = np.where(belief.searched[:, None], belief.detected & (belief.posterior >= 0.5), belief.posterior)
         if self.certain:
             assert np.array_equal(belief.presence_prob, told)
         else:  # where nobody has searched, planners are told the likelihood, not the prior with its doubts
             assert np.allclose(belief.presence_prob, told, atol=1e-3)
-        sights = {key: present for key, (_, present) in self.found.items() if present is not None}
-        for (container, name), present in sights.items() if self.certain else ():
-            obj = live.setup.task.propositions.index(name)
-            assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
         assert team.state != team.automaton.sink
         assert len(live.names) == len(team.robots) == len(live.heard_s)
