@@ -21,7 +21,7 @@ from pathlib import Path
 from mrtask.files import default_cache_dir
 
 MIN_PYTHON = (3, 11)
-DISK_GB = 4.0
+DISK_GB = 5.0
 """The environment and one run of the paper's experiment."""
 MEMORY_GB = 4.0
 """Two workers, the driver and MLflow."""
