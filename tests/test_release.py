@@ -52,7 +52,7 @@ def test_the_container_runs_what_the_makefile_has() -> None:
 def test_doctor_finds_what_is_wrong_and_says_what_to_do(tmp_path: Path) -> None:
     assert doctor.python_version((3, 11)).good and not doctor.python_version((3, 10)).good
     assert "make install PYTHON=" in str(doctor.python_version((3, 8)))
-    assert doctor.disk(tmp_path, 4.0).good and "make room" in str(doctor.disk(tmp_path, 3.9))
+    assert doctor.disk(tmp_path, 5.0).good and "make room" in str(doctor.disk(tmp_path, 4.9))
     assert doctor.memory(4.0).good and "cluster.cpus=1" in str(doctor.memory(1.0)) and doctor.memory(None).good
     assert doctor.writable("it", tmp_path / "not" / "there", "-").good
     assert not doctor.writable("it", Path("/proc/nowhere"), "-").good
