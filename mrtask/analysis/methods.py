@@ -74,7 +74,7 @@ def _trials_sentence(rows: pd.DataFrame, homes: Manifest) -> str:
     text = f"We ran {counted(len(trials), 'trial')}, {each} for each of {counted(len(cells), 'cell')}"
     text += f" of home size ({_listed(classes)}) and team size ({_listed(map(str, teams))})"
     if "home_id" in trials.columns and trials["home_id"].notna().any():
-        source = f" from {homes['source']}" if homes.get("source") else ""
+        source = f" ({homes['source']})" if homes.get("source") else ""
         text += f", in {counted(trials['home_id'].nunique(), 'home')}{source}"
     return f"{text}."
 

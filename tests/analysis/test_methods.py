@@ -55,7 +55,7 @@ def test_the_paragraph_has_the_runs_numbers():
     sentences = methods_sentences(collect_report_data(frame, MANIFEST, {}))
     assert sentences[0] == (
         "We ran 16 trials, 4 for each of 4 cells of home size (small and large) and team size (1 and 3), in 4 homes "
-        "from procthor."
+        "(procthor)."
     )
     text = " ".join(sentences)
     for words in (
