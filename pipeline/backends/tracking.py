@@ -208,12 +208,6 @@ def log_metrics(run: Run, metrics: Mapping[str, float], step: int | None = None)
     mlflow.log_metrics(finite, step=step, run_id=run.run_id)
 
 
-def set_tags(run: Run, tags: Mapping[str, str]) -> None:
-    """Set tags, such as what became of the model."""
-    for key, value in tags.items():
-        mlflow.MlflowClient().set_tag(run.run_id, key, value)
-
-
 def log_artifact(run: Run, path: Path, folder: str | None = None) -> None:
     """Keep a file, or a folder's content, with the run under ``folder``."""
     log = mlflow.log_artifacts if path.is_dir() else mlflow.log_artifact
