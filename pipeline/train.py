@@ -48,7 +48,7 @@ def check(model: Model, trainer: Trainer) -> None:
     if not isinstance(model, Frequency):
         check_embedding(model.embedding)
     if isinstance(model, Network) and trainer.device != "auto":
-        from mrtask.likelihood.network import find_device  # torch takes seconds to import
+        from mrtask.likelihood.network_training import find_device  # torch takes seconds to import
 
         find_device(trainer.device)
 

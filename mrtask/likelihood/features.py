@@ -3,6 +3,7 @@
 The paper's input: the embedding of a name (D numbers) and a one-hot of what kind of thing it names, D + 4 in all.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,39 @@ from mrtask.likelihood.rows import TRIPLE
 KINDS = ("home", "room", "container", "object")
 
 
-def encode_triples(names: pd.DataFrame, embedding: str, cache_dir: Path | None = None) -> NDArray[np.float32]:
-    """``[N, 3 * (D + 4)]`` for a frame with the columns ``object``, ``container``, ``room``."""
-    blocks = []
+@dataclass(frozen=True, eq=False)
+class NameFeatures:
+    """Features of N triples, each distinct name's kept once: part ``p`` of row ``n`` is ``vectors[p][codes[p, n]]``."""
+
+    vectors: tuple[NDArray[np.float32], ...]
+    codes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return self.codes.shape[1]
+
+    @property
+    def width(self) -> int:
+        """How many numbers a row has."""
+        return sum(part.shape[1] for part in self.vectors)
+
+    def rows(self) -> NDArray[np.float32]:
+        """All of them written out, ``[N, width]``."""
+        return np.hstack([part[codes] for part, codes in zip(self.vectors, self.codes, strict=True)])
+
+
+def name_features(names: pd.DataFrame, embedding: str, cache_dir: Path | None = None) -> NameFeatures:
+    """Those of a frame with the columns ``object``, ``container``, ``room``: three parts of ``D + 4`` numbers."""
+    vectors, codes = [], []
     for kind in TRIPLE:
-        codes, distinct = pd.factorize(names[kind])
-        vectors = embed_names(list(distinct), embedding, cache_dir)
+        code, distinct = pd.factorize(names[kind])
+        embedded = embed_names(list(distinct), embedding, cache_dir)
         tag = np.zeros(len(KINDS), dtype=np.float32)
         tag[KINDS.index(kind)] = 1.0
-        blocks.append(np.hstack([vectors, np.tile(tag, (len(vectors), 1))])[codes])
-    return np.hstack(blocks)
+        vectors.append(np.hstack([embedded, np.tile(tag, (len(embedded), 1))]))
+        codes.append(code)
+    return NameFeatures(tuple(vectors), np.stack(codes).astype(np.int64))
+
+
+def encode_triples(names: pd.DataFrame, embedding: str, cache_dir: Path | None = None) -> NDArray[np.float32]:
+    """``[N, 3 * (D + 4)]`` for a frame with the columns ``object``, ``container``, ``room``."""
+    return name_features(names, embedding, cache_dir).rows()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from mrtask.likelihood.features import encode_triples
+from mrtask.likelihood.features import encode_triples, name_features
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.logistic import LogisticModel, train_logistic
 from mrtask.likelihood.model import LikelihoodModel, ModelError, read_description
@@ -65,12 +65,13 @@ def _train_logistic(job: Job) -> Fitted:
 
 
 def _train_network(job: Job) -> Fitted:
-    from mrtask.likelihood.network import NetworkModel, train_network  # torch takes seconds to import
+    from mrtask.likelihood.network import NetworkModel  # torch takes seconds to import
+    from mrtask.likelihood.network_training import train_network
 
     options = job.options
     job.tell("embedding names")
     train, validation = (
-        encode_triples(triples, options.embedding, options.cache_dir) for triples in (job.train, job.validation)
+        name_features(triples, options.embedding, options.cache_dir) for triples in (job.train, job.validation)
     )
     job.tell(f"training {options.kind}")
     module, history = train_network(

@@ -1,24 +1,11 @@
 """The likelihood network: the paper's (section IV), and smaller ones of the same build.
 
 Embeddings and kind tags in (``features.encode_triples``), fully connected layers each with batch norm and leaky ReLU,
-one sigmoid out. It is trained on distinct triples drawn in proportion to their counts, with the share of positives as
-label: loss and batch statistics are then in expectation those of the single rows, at a hundredth of the cost.
-
-Batch norm undoes whatever size the weight matrices give to a layer's output, so how far the log odds can spread is left
-to a few vectors: the norms' scales and shifts, the biases and the output layer. Adam moves each number by about its
-learning rate a step, and at a rate that the wide matrices bear these vectors are still far from where they belong when
-training ends: names are ranked well, but all probabilities are too near the base rate. So they have a higher rate, and
-no weight decay. The output starts at the training rows' log odds, and both rates rise and fall once (Smith & Topin
-2017, "1cycle").
+one sigmoid out. Training: `mrtask.likelihood.network_training`.
 """
 
-import contextlib
-import hashlib
-import json
-import math
-import os
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +13,14 @@ import numpy as np
 import pandas as pd
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
-from torch.nn import functional
+from torch import nn
 
-from mrtask.errors import InputError
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, write_description
-from mrtask.likelihood.options import EpochCallback, EpochMetrics, NetworkOptions
 
-WARM_UP = 0.2
 WEIGHTS_FILE = "weights.safetensors"
 
 
@@ -108,237 +91,3 @@ def predict_features(module: nn.Module, features: NDArray[np.float32], batch_siz
             for start in range(0, len(features), batch_size)
         ]
     return clip_probs(torch.cat(parts).cpu().numpy())
-
-
-def weighted_loss(logits: Tensor, positives: Tensor, count: Tensor) -> Tensor:
-    """The summed binary cross-entropy of all rows behind N triples, each with ``positives`` ones and the rest zeros."""
-    negatives = count - positives
-    return (positives * functional.softplus(-logits) + negatives * functional.softplus(logits)).sum()
-
-
-def set_statistics(module: nn.Sequential, inputs: Tensor, count: Tensor) -> Tensor:
-    """Give each batch norm the exact mean and variance over the rows behind the triples ``inputs [N, F]``.
-
-    The running ones lag behind the weights and carry the noise of the last batches. Returns the logits ``[N, 1]`` and
-    leaves the network in evaluation mode.
-    """
-    module.eval()
-    weight = (count / count.sum()).unsqueeze(1)
-    hidden = inputs
-    for layer in module:
-        if isinstance(layer, nn.BatchNorm1d):
-            mean = (weight * hidden).sum(dim=0)
-            layer.running_mean = mean
-            layer.running_var = (weight * (hidden - mean).square()).sum(dim=0)
-        hidden = layer(hidden)
-    return hidden
-
-
-def train_network(
-    features: NDArray[np.float32],
-    triples: pd.DataFrame,
-    validation_features: NDArray[np.float32],
-    validation: pd.DataFrame,
-    options: NetworkOptions,
-    on_epoch: EpochCallback | None = None,
-    checkpoint_dir: Path | None = None,
-) -> tuple[nn.Sequential, list[EpochMetrics]]:
-    """Train until the validation log loss has not improved for ``patience`` epochs; returns the best epoch's network.
-
-    ``features [N, F]`` belong to ``triples`` (columns ``positives``, ``count``). Without validation triples it trains
-    for ``max_epochs`` and returns the last. The history has one entry per epoch, with the mean log losses of the rows
-    at its end: ``epoch, train_loss, validation_loss, best_validation_loss``. With ``checkpoint_dir`` an interrupted
-    training goes on where it was and ends the same.
-    """
-    if len(features) < 2:
-        raise ValueError(f"a network needs at least 2 distinct training triples, got {len(features)}")
-    device = find_device(options.device)
-    with _threads(options.threads):
-        run = _Run(features, triples, validation_features, validation, options, device)
-        path = None if checkpoint_dir is None else checkpoint_dir / f"{run.fingerprint[:16]}.safetensors"
-        if path is not None:
-            run.resume(path)
-        while run.unfinished():
-            entry = run.epoch()
-            if on_epoch is not None:
-                on_epoch(int(entry["epoch"]), entry)
-            if path is not None and len(run.history) % options.checkpoint_every == 0:
-                run.checkpoint(path)
-        if path is not None:
-            path.unlink(missing_ok=True)
-        run.module.load_state_dict(run.best)
-    return run.module.cpu().eval(), run.history
-
-
-class _Run:
-    """The state of one training, and its way to and from a checkpoint."""
-
-    def __init__(
-        self,
-        features: NDArray[np.float32],
-        triples: pd.DataFrame,
-        validation_features: NDArray[np.float32],
-        validation: pd.DataFrame,
-        options: NetworkOptions,
-        device: torch.device,
-    ) -> None:
-        self.options = options
-        self.inputs = torch.from_numpy(features).to(device)
-        self.positives, self.count = _weights(triples, device)
-        self.validation_inputs = torch.from_numpy(validation_features).to(device)
-        self.validation_positives, self.validation_count = _weights(validation, device)
-        self.module = build_module(features.shape[1], options.layers, options.seed, options.dropout).to(device)
-        share = (float(triples["positives"].sum()) + 0.5) / (float(triples["count"].sum()) + 1.0)
-        nn.init.constant_(output_layer(self.module).bias, math.log(share / (1.0 - share)))
-        self.optimizer = torch.optim.AdamW(_parameter_groups(self.module, options), fused=True)
-        self.batches = math.ceil(len(features) / options.batch_size)
-        self.generator = torch.Generator().manual_seed(options.seed)
-        self.history: list[EpochMetrics] = []
-        self.best = {name: value.clone() for name, value in self.module.state_dict().items()}
-        self.fingerprint = _fingerprint(features, triples, validation, options)
-
-    def unfinished(self) -> bool:
-        if len(self.history) >= self.options.max_epochs:
-            return False
-        return not self.history or self._epochs_since_best() < self.options.patience
-
-    def _epochs_since_best(self) -> int:
-        if not len(self.validation_count):
-            return 0
-        losses = [entry["validation_loss"] for entry in self.history]
-        return len(losses) - 1 - int(np.argmin(losses))
-
-    def epoch(self) -> EpochMetrics:
-        self.module.train()
-        size = self.options.batch_size
-        drawn = torch.multinomial(self.count.cpu(), self.batches * size, replacement=True, generator=self.generator)
-        # The random state of dropout belongs to the epoch, so that a resumed training draws the same.
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.options.seed + len(self.history))
-            for number, batch in enumerate(torch.split(drawn.to(self.inputs.device), size)):
-                rate = self._rate(len(self.history) * self.batches + number)
-                for group in self.optimizer.param_groups:
-                    group["lr"] = group["highest_lr"] * rate
-                logits = self.module(self.inputs[batch]).squeeze(1)
-                share = self.positives[batch] / self.count[batch]
-                loss = weighted_loss(logits, share, torch.ones_like(share)) / size
-                self.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                self.optimizer.step()
-        with torch.no_grad():
-            logits = set_statistics(self.module, self.inputs, self.count)
-            validation_logits = self.module(self.validation_inputs)
-        entry: EpochMetrics = {
-            "epoch": float(len(self.history) + 1),
-            "train_loss": _log_loss(logits, self.positives, self.count),
-            "validation_loss": _log_loss(validation_logits, self.validation_positives, self.validation_count),
-        }
-        self.history.append(entry)
-        if self._epochs_since_best() == 0:
-            self.best = {name: value.clone() for name, value in self.module.state_dict().items()}
-        entry["best_validation_loss"] = min(past["validation_loss"] for past in self.history)
-        return entry
-
-    def _rate(self, step: int) -> float:
-        """Which part of the highest learning rates a step takes."""
-        position = (step + 1) / (self.options.max_epochs * self.batches)
-        if position < WARM_UP:
-            return position / WARM_UP
-        return 0.5 * (1.0 + math.cos(math.pi * (position - WARM_UP) / (1.0 - WARM_UP)))
-
-    def checkpoint(self, path: Path) -> None:
-        tensors = {f"module.{name}": value for name, value in self.module.state_dict().items()}
-        tensors |= {f"best.{name}": value for name, value in self.best.items()}
-        for index, state in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{index}.{name}": value for name, value in state.items()}
-        tensors["generator"] = self.generator.get_state()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        metadata = {"fingerprint": self.fingerprint, "history": json.dumps(self.history)}
-        save_file({name: value.contiguous().cpu() for name, value in tensors.items()}, temporary, metadata)
-        os.replace(temporary, path)
-
-    def resume(self, path: Path) -> None:
-        """Take up the checkpoint if it is there, whole and of this very training; else start afresh."""
-        if not path.is_file():
-            return
-        try:
-            with safe_open(path, framework="pt") as file:
-                metadata = file.metadata() or {}
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
-        except (OSError, SafetensorError):
-            return
-        if metadata.get("fingerprint") != self.fingerprint:
-            return
-        self.module.load_state_dict(_part(tensors, "module."))
-        self.best = {name: value.to(self.inputs.device) for name, value in _part(tensors, "best.").items()}
-        state: dict[int, dict[str, Tensor]] = {}
-        for name, value in _part(tensors, "optimizer.").items():
-            index, key = name.split(".")
-            state.setdefault(int(index), {})[key] = value
-        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
-        self.generator.set_state(tensors["generator"])
-        self.history = json.loads(metadata["history"])
-
-
-def _log_loss(logits: Tensor, positives: Tensor, count: Tensor) -> float:
-    """Mean log loss of the rows; NaN where there are none."""
-    if not len(count):
-        return float("nan")
-    summed = weighted_loss(logits.squeeze(1).double(), positives.double(), count.double())
-    return float(summed / count.double().sum())
-
-
-def _parameter_groups(module: nn.Sequential, options: NetworkOptions) -> list[dict[str, Any]]:
-    """The weight matrices, and apart from them what sets the size of the log odds."""
-    output = output_layer(module).weight
-    scales = [value for value in module.parameters() if value.ndim == 1 or value is output]
-    matrices = [value for value in module.parameters() if value.ndim > 1 and value is not output]
-    return [
-        {"params": matrices, "highest_lr": options.learning_rate, "weight_decay": options.weight_decay},
-        {"params": scales, "highest_lr": options.scale_learning_rate, "weight_decay": 0.0},
-    ]
-
-
-def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-
-def _weights(triples: pd.DataFrame, device: torch.device) -> tuple[Tensor, Tensor]:
-    positives = torch.tensor(triples["positives"].to_numpy(dtype=np.float32), device=device)
-    return positives, torch.tensor(triples["count"].to_numpy(dtype=np.float32), device=device)
-
-
-def _fingerprint(
-    features: NDArray[np.float32], triples: pd.DataFrame, validation: pd.DataFrame, options: NetworkOptions
-) -> str:
-    digest = hashlib.sha256(json.dumps(asdict(replace(options, checkpoint_every=1)), sort_keys=True).encode())
-    digest.update(features.tobytes())
-    for frame in (triples, validation):
-        digest.update(frame[["positives", "count"]].to_numpy().tobytes())
-    return digest.hexdigest()
-
-
-def find_device(name: str) -> torch.device:
-    """The device of that name; ``auto`` is a GPU where there is one.
-
-    Raises:
-        InputError: this machine, or this torch, does not have it.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda: torch sees no GPU here; give auto or cpu")
-    if name == "mps" and not torch.backends.mps.is_available():
-        raise InputError("device mps: torch sees none here; give auto or cpu")
-    return torch.device(name)
-
-
-@contextlib.contextmanager
-def _threads(number: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(number or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

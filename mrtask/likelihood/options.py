@@ -15,7 +15,7 @@ EpochCallback = Callable[[int, EpochMetrics], None]
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """How a network is built and trained; see `mrtask.likelihood.network`.
+    """How a network is built and trained; see `mrtask.likelihood.network_training`.
 
     ``learning_rate`` is that of the weight matrices, ``scale_learning_rate`` that of what sets the size of the log
     odds; both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's number.
