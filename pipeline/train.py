@@ -16,9 +16,8 @@ from pydantic import TypeAdapter
 
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.embeddings import check_embedding
-from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOptions
-from mrtask.likelihood.training import TrainedModel, score, train_model
+from mrtask.likelihood.training import TrainedModel, fit, score, train_model
 from pipeline import dataset
 from pipeline.app.main import CONF_DIR, main
 from pipeline.app.stage import Session, Stage
@@ -163,7 +162,8 @@ def _record(
 ) -> TrainedModelRecord:
     """The record of a model that has just been registered, beside the frequency table on the same homes."""
     options, metrics = trained.options, trained.metrics["test"]
-    frequency = score(FrequencyModel(data.triples("train"), options.smoothing), data.triples("test"))
+    table, _ = fit(data.triples("train"), data.triples("validation"), replace(options, kind="frequency"))
+    frequency = score(table, data.triples("test"))
     return TrainedModelRecord(
         name=tracking.MODEL_NAME,
         model_version=registration.version,

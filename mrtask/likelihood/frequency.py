@@ -14,7 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mrtask.likelihood.metrics import log_loss
 from mrtask.likelihood.model import check_names, clip_probs, read_triples, write_description, write_triples
+from mrtask.likelihood.options import SMOOTHINGS
 from mrtask.likelihood.rows import TRIPLE
 
 KIND = "frequency"
@@ -56,3 +58,12 @@ class FrequencyModel:
     def load(cls, folder: Path, description: Mapping[str, Any]) -> "FrequencyModel":
         """The model of a folder whose ``model.json`` has been read."""
         return cls(read_triples(folder), float(description["strength"]))
+
+
+def best_smoothing(triples: pd.DataFrame, validation: pd.DataFrame) -> float:
+    """The strength that predicts other homes best; see ``TrainingOptions``."""
+    if not len(validation):
+        return SMOOTHINGS[0]
+    return min(
+        SMOOTHINGS, key=lambda strength: log_loss(FrequencyModel(triples, strength).predict(validation), validation)
+    )

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from mrtask.likelihood.features import encode_triples, name_features
-from mrtask.likelihood.frequency import FrequencyModel
+from mrtask.likelihood.frequency import FrequencyModel, best_smoothing
 from mrtask.likelihood.logistic import LogisticModel, train_logistic
 from mrtask.likelihood.model import LikelihoodModel, ModelError, read_description
-from mrtask.likelihood.options import EpochCallback, EpochMetrics, TrainingOptions
+from mrtask.likelihood.options import SMOOTHINGS, EpochCallback, EpochMetrics, TrainingOptions
 from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 
@@ -43,7 +43,9 @@ class Kind(NamedTuple):
 
 
 def _train_frequency(job: Job) -> Fitted:
-    return FrequencyModel(job.train, job.options.smoothing), []
+    model = FrequencyModel(job.train, job.options.smoothing or best_smoothing(job.train, job.validation))
+    job.tell(f"smoothed by {model.strength:g} rows")
+    return model, []
 
 
 def _load_frequency(folder: Path, description: Description, cache_dir: Path | None) -> LikelihoodModel:
@@ -53,7 +55,11 @@ def _load_frequency(folder: Path, description: Description, cache_dir: Path | No
 def _train_similarity(job: Job) -> Fitted:
     options = job.options
     job.tell("embedding names and fitting")
-    return train_similarity(job.train, options.smoothing, options.embedding, options.cache_dir), []
+    model = train_similarity(job.train, options.smoothing or SMOOTHINGS[0], options.embedding, options.cache_dir)
+    if options.smoothing is None:
+        model = model.smoothed_by(job.validation)
+    job.tell(f"smoothed by {model.strength:g} rows")
+    return model, []
 
 
 def _train_logistic(job: Job) -> Fitted:

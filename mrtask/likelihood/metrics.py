@@ -32,8 +32,8 @@ def evaluate(probs: NDArray[np.float64], triples: pd.DataFrame) -> dict[str, flo
     if not rows:
         return result | dict.fromkeys(("log_loss", "best_log_loss", "brier", "ece"), float("nan"))
     own = positives / count
-    result["log_loss"] = _log_loss(probs, positives, negatives)
-    result["best_log_loss"] = _log_loss(np.clip(own, 1e-12, 1 - 1e-12), positives, negatives)
+    result["log_loss"] = log_loss(probs, triples)
+    result["best_log_loss"] = log_loss(np.clip(own, 1e-12, 1 - 1e-12), triples)
     result["brier"] = float((positives * (1 - probs) ** 2 + negatives * probs**2).sum() / rows)
     bins = reliability(probs, triples)
     result["ece"] = float((bins["rows"] * (bins["mean_prob"] - bins["frequency"]).abs()).sum() / rows)
@@ -77,6 +77,9 @@ def evaluate_by(probs: NDArray[np.float64], triples: pd.DataFrame, column: str) 
     return pd.DataFrame(records).sort_values(["rows", column], ascending=[False, True], ignore_index=True)
 
 
-def _log_loss(probs: NDArray[np.float64], positives: NDArray[np.float64], negatives: NDArray[np.float64]) -> float:
-    total = (positives * np.log(probs) + negatives * np.log1p(-probs)).sum()
-    return float(-total / (positives.sum() + negatives.sum()))
+def log_loss(probs: NDArray[np.float64], triples: pd.DataFrame) -> float:
+    """The mean log loss of ``probs [N]`` over the rows behind N triples with ``positives`` and ``count``."""
+    positives = triples["positives"].to_numpy(dtype=np.float64)
+    count = triples["count"].to_numpy(dtype=np.float64)
+    total = (positives * np.log(probs) + (count - positives) * np.log1p(-probs)).sum()
+    return float(-total / count.sum())

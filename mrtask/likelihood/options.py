@@ -8,6 +8,8 @@ from mrtask.likelihood.embeddings import BUNDLED
 
 PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
 DEVICES = ("auto", "cpu", "cuda", "mps")
+SMOOTHINGS = (5.0, 20.0, 80.0, 320.0, 1280.0)
+"""Each four times the last: between neighbours the log loss hardly differs."""
 
 EpochMetrics = dict[str, float]
 EpochCallback = Callable[[int, EpochMetrics], None]
@@ -55,19 +57,20 @@ class TrainingOptions:
     """Which model, on which embedding, and the options of each kind.
 
     ``network`` is for ``paper_fcnn`` and ``mlp``; ``regularisation`` for ``logistic`` (scikit-learn's C); ``smoothing``
-    for ``frequency`` and ``similarity``: how many rows the coarser estimate is worth.
+    for ``frequency`` and ``similarity``: how many rows the coarser estimate is worth; None: the one of `SMOOTHINGS`
+    with the lowest log loss on the validation homes, the first where there are none.
     """
 
     kind: str = "similarity"
     embedding: str = BUNDLED
     network: NetworkOptions = field(default_factory=NetworkOptions)
     regularisation: float = 1.0
-    smoothing: float = 5.0
+    smoothing: float | None = None
     cache_dir: Path | None = None
     checkpoint_dir: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.regularisation <= 0 or self.smoothing <= 0:
+        if self.regularisation <= 0 or (self.smoothing is not None and self.smoothing <= 0):
             raise ValueError(
                 f"regularisation and smoothing must be above 0, got {self.regularisation}, {self.smoothing}"
             )

@@ -9,7 +9,7 @@ frequency). With little data it is the prior, with much it becomes the frequency
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from scipy.special import logit
 
 from mrtask.likelihood.embeddings import BUNDLED, embed_names
+from mrtask.likelihood.metrics import log_loss
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, read_triples, write_description, write_triples
+from mrtask.likelihood.options import SMOOTHINGS
 from mrtask.likelihood.rows import TRIPLE
 from mrtask.names import name_to_text
 
@@ -61,13 +63,16 @@ class SimilarityModel:
         if not len(names):
             return np.zeros(0)
         names = _as_texts(names)
-        odds = np.exp(self._known.features(names) @ self.weights[:-1] + self.weights[-1])
-        for level, ratio in zip(LEVELS, self._ratios, strict=True):
-            odds *= _look_up(names, level, ratio, 1.0)
-        prior = odds / (1.0 + odds)
-        counts = self.triples.set_index(TRIPLE)
-        positives, count = (_look_up(names, TRIPLE, counts[column], 0.0) for column in ("positives", "count"))
-        return clip_probs((positives + self.strength * prior) / (count + self.strength))
+        return self._probs(names, self._odds(names), self.strength)
+
+    def smoothed_by(self, validation: pd.DataFrame) -> "SimilarityModel":
+        """The same with the strength that predicts other homes best; see ``TrainingOptions``."""
+        if not len(validation):
+            return replace(self, strength=SMOOTHINGS[0])
+        names = _as_texts(validation)
+        odds = self._odds(names)
+        best = min(SMOOTHINGS, key=lambda strength: log_loss(self._probs(names, odds, strength), validation))
+        return replace(self, strength=best)
 
     def save(self, folder: Path) -> None:
         """Write counts and description."""
@@ -91,15 +96,29 @@ class SimilarityModel:
         return _Known(self.triples, self.embedding, self.cache_dir)
 
     @cached_property
-    def _ratios(self) -> list[pd.Series]:
+    def _own_odds(self) -> Floats:
+        return self._odds(self.triples)
+
+    def _odds(self, names: pd.DataFrame) -> Floats:
+        """What the prior for any names says of names in words."""
+        return np.asarray(np.exp(self._known.features(names) @ self.weights[:-1] + self.weights[-1]))
+
+    def _probs(self, names: pd.DataFrame, odds: Floats, strength: float) -> Floats:
+        for level, ratio in zip(LEVELS, self._ratios(strength), strict=True):
+            odds = odds * _look_up(names, level, ratio, 1.0)
+        prior = odds / (1.0 + odds)
+        counts = self.triples.set_index(TRIPLE)
+        positives, count = (_look_up(names, TRIPLE, counts[column], 0.0) for column in ("positives", "count"))
+        return clip_probs((positives + strength * prior) / (count + strength))
+
+    def _ratios(self, strength: float) -> list[pd.Series]:
         """Observed to expected finds of each group, per level; each level's expectation includes the levels before."""
-        odds = np.exp(self._known.features(self.triples) @ self.weights[:-1] + self.weights[-1])
-        ratios = []
+        odds, ratios = self._own_odds, []
         for level in LEVELS:
             expected = odds / (1.0 + odds) * self.triples["count"].to_numpy()
             finds = self.triples.assign(expected=expected).groupby(level)[["positives", "expected"]].sum()
-            ratio = (finds["positives"] + self.strength) / (finds["expected"] + self.strength)
-            odds *= _look_up(self.triples, level, ratio, 1.0)
+            ratio = (finds["positives"] + strength) / (finds["expected"] + strength)
+            odds = odds * _look_up(self.triples, level, ratio, 1.0)
             ratios.append(ratio)
         return ratios
 

@@ -162,7 +162,7 @@ class Similarity(_Section):
 
     kind: Literal["similarity"]
     embedding: str = Field(min_length=1)
-    smoothing: float = Field(gt=0)
+    smoothing: Annotated[float, Field(gt=0)] | None
 
 
 class Network(_Section):
@@ -186,7 +186,7 @@ class Frequency(_Section):
     """The table of counts."""
 
     kind: Literal["frequency"]
-    smoothing: float = Field(gt=0)
+    smoothing: Annotated[float, Field(gt=0)] | None
 
 
 Model = Annotated[Similarity | Network | Logistic | Frequency, Field(discriminator="kind")]

@@ -7,9 +7,9 @@ import pytest
 from mrtask.homes.procthor import read_houses
 from mrtask.likelihood.dataset import build_dataset
 from mrtask.likelihood.kinds import KINDS
-from mrtask.likelihood.options import NetworkOptions, TrainingOptions
-from mrtask.likelihood.rows import SPLITS
-from mrtask.likelihood.training import score_unseen, train_model
+from mrtask.likelihood.options import SMOOTHINGS, NetworkOptions, TrainingOptions
+from mrtask.likelihood.rows import SPLITS, TRIPLE
+from mrtask.likelihood.training import fit, score, score_unseen, train_model
 
 NETWORK = NetworkOptions(layers=(32, 16), max_epochs=150, patience=150, batch_size=64, device="cpu", threads=1)
 
@@ -38,6 +38,27 @@ def test_unknown_kind(made_up_dataset):
         train_model(made_up_dataset, TrainingOptions("oracle"))
     with pytest.raises(ValueError, match="regularisation and smoothing must be above 0"):
         TrainingOptions(smoothing=0.0)
+
+
+@pytest.mark.parametrize("kind", ["frequency", "similarity"])
+def test_smoothing_is_what_predicts_other_homes_best(embedding_cache, kind):
+    """Little where each object has places of its own, much where it is the place alone that matters."""
+    rng = np.random.default_rng(0)
+    objects, containers = ["Apple", "Bread", "Egg", "Fork", "Pillow", "Book"], ["Fridge", "Drawer", "Bed", "Desk"]
+    names = pd.DataFrame([(name, place, "Kitchen") for name in objects for place in containers], columns=TRIPLE)
+    places = np.tile([0.05, 0.1, 0.2, 0.4], len(objects))
+    found = []
+    for probs in (rng.permutation(np.repeat([0.02, 0.9], len(names) // 2)), places):
+        train, validation = (names.assign(positives=rng.binomial(rows, probs), count=rows) for rows in (20, 500))
+        losses = {}
+        for strength in SMOOTHINGS:
+            options = TrainingOptions(kind, smoothing=strength, cache_dir=embedding_cache)
+            losses[strength] = score(fit(train, validation, options)[0], validation)["log_loss"]
+        options = TrainingOptions(kind, cache_dir=embedding_cache)
+        found.append(fit(train, validation, options)[0].strength)
+        assert found[-1] == min(losses, key=losses.get)
+        assert fit(train, validation.head(0), options)[0].strength == SMOOTHINGS[0]
+    assert found[0] == SMOOTHINGS[0] < found[1]
 
 
 def test_unseen_names_are_predicted_without_their_counts(made_up_dataset):
