@@ -76,8 +76,8 @@ def fit_on_homes(
 ) -> LikelihoodModel:
     """A model that has learned from homes; by default the frequency table, which needs neither torch nor embeddings.
 
-    Only networks use the ``validation`` homes. Other kinds: ``TrainingOptions(kind="similarity")``, with the extra
-    ``mrtask[train]`` installed.
+    The ``validation`` homes stop networks and choose the smoothing of counts. Other kinds:
+    ``TrainingOptions(kind="similarity")``, with the extra ``mrtask[train]`` installed.
     """
     options = options or TrainingOptions(kind="frequency")
     if options.kind != "frequency" and find_spec("sklearn") is None:

@@ -111,6 +111,7 @@ def test_what_names_share_changes_neither_output_nor_gradient(of_names):
     shared, rows = Inputs(of_names, torch.device("cpu")), torch.from_numpy(of_names.rows())
     assert torch.allclose(shared.through(layer), layer(rows), atol=1e-6)
     outputs = (shared.through(layer, chosen), layer(rows[chosen]))
+    assert torch.allclose(*outputs, atol=1e-6)
     gradients = [torch.autograd.grad(output.square().sum(), list(layer.parameters())) for output in outputs]
     for one, other in zip(*gradients, strict=True):
         assert torch.allclose(one, other, rtol=1e-4, atol=1e-5)
