@@ -24,7 +24,7 @@ class NameFeatures:
     codes: NDArray[np.int64]
 
     def __len__(self) -> int:
-        return self.codes.shape[1]
+        return int(self.codes.shape[1])
 
     @property
     def width(self) -> int:

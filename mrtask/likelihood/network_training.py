@@ -56,7 +56,7 @@ class Inputs:
         assert isinstance(layer, nn.Linear)
         parts = torch.split(layer.weight, [vectors.shape[1] for vectors in self.vectors], dim=1)
         codes = self.codes if rows is None else self.codes[:, rows]
-        output = layer.bias
+        output: Tensor = layer.bias
         for vectors, weight, code in zip(self.vectors, parts, codes, strict=True):
             # Not index_select, whose gradient on a GPU is not the same each time.
             output = output + functional.embedding(code, vectors @ weight.T)
@@ -71,7 +71,7 @@ def set_statistics(module: nn.Sequential, hidden: Tensor, count: Tensor) -> Tens
     """
     module.eval()
     weight = (count / count.sum()).unsqueeze(1)
-    for layer in module[1:]:
+    for layer in list(module)[1:]:
         if isinstance(layer, nn.BatchNorm1d):
             mean = (weight * hidden).sum(dim=0)
             layer.running_mean = mean
@@ -261,8 +261,9 @@ def _fingerprint(
     features: NameFeatures, triples: pd.DataFrame, validation: pd.DataFrame, options: NetworkOptions
 ) -> str:
     digest = hashlib.sha256(json.dumps(asdict(replace(options, checkpoint_every=1)), sort_keys=True).encode())
-    for array in (*features.vectors, features.codes):
-        digest.update(array.tobytes())
+    for vectors in features.vectors:
+        digest.update(vectors.tobytes())
+    digest.update(features.codes.tobytes())
     for frame in (triples, validation):
         digest.update(frame[["positives", "count"]].to_numpy().tobytes())
     return digest.hexdigest()
