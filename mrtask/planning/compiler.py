@@ -12,7 +12,8 @@ from typing import IO, Any
 from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompilerBase, Flags, PassManager
+from numba.core.compiler import Compiler, CompilerBase, Flags
+from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import (
     IRLegalization,

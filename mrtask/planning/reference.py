@@ -15,7 +15,7 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 class _Reference(types.Type):
     """Where a named tuple is."""
 
-    def __init__(self, to: types.BaseNamedTuple) -> None:
+    def __init__(self, to: Any) -> None:
         self.to = to
         super().__init__(name=f"reference to {to}")
 
@@ -36,7 +36,7 @@ class _ReferenceModel(models.PrimitiveModel):
 class _ReferenceFields(AttributeTemplate):
     key = _Reference
 
-    def generic_resolve(self, reference: _Reference, name: str) -> types.Type | None:
+    def generic_resolve(self, reference: _Reference, name: str) -> Any:  # type: ignore[override]
         return reference.field(name)[1] if name in reference.to.fields else None
 
 
@@ -47,11 +47,13 @@ def _field(context: Any, builder: Any, reference: _Reference, pointer: Any, name
     return place if isinstance(kind, _Reference) else builder.load(place)
 
 
-@intrinsic
-def by_reference(context: Any, value: types.Type) -> Any:
-    """A named tuple as a kernel hands it on to its parts, which read its fields as ever. None stays None."""
+def _by_reference(context: Any, value: types.Type) -> Any:
     if not isinstance(value, types.BaseNamedTuple):
         return value(value), lambda context, builder, signature, arguments: arguments[0]
     return _Reference(value)(value), lambda context, builder, signature, arguments: cgutils.alloca_once_value(
         builder, arguments[0]
     )
+
+
+by_reference: Any = intrinsic(_by_reference)
+"""A named tuple as a kernel hands it on to its parts, which read its fields as ever. None stays None."""
