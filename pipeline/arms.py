@@ -15,7 +15,8 @@ import pandas as pd
 from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
-from pipeline.base.config import Config, OtherLikelihood, PlannerVariant, UserError, content_hash, with_overrides
+from pipeline.base.config import Config, UserError, content_hash, with_overrides
+from pipeline.base.sections import OtherLikelihood, PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
 from pipeline.store import layout
 from pipeline.store.folder import Folder

@@ -31,8 +31,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console
-from pipeline.base.config import (
-    Config,
+from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.sections import (
     Contents,
     GeneratedHomes,
     Homes,
@@ -41,8 +41,6 @@ from pipeline.base.config import (
     Procthor10kHomes,
     ProcthorHomes,
     RosMapHomes,
-    UserError,
-    content_hash,
 )
 from pipeline.store import artifacts
 from pipeline.store.folder import Folder

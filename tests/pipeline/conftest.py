@@ -40,7 +40,7 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
     import ray
 
     from pipeline.backends import pool
-    from pipeline.base.config import Cluster
+    from pipeline.base.sections import Cluster
 
     pool._start(Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3))
     yield

@@ -11,7 +11,8 @@ from mrtask.analysis.ablation import COMPARED
 from pipeline.ablation import AUTHORS, PAPER, WHAT, protocols
 from pipeline.app.main import CONF_DIR
 from pipeline.arms import SharedRun, lay_out
-from pipeline.base.config import Arm, Config, UserError, load
+from pipeline.base.config import Config, UserError, load
+from pipeline.base.studies import Arm
 from tests.pipeline.harness import Cli, Workspace
 
 PATIENT = "planner.nonlearned_myopic.return_to_known=when_complete"

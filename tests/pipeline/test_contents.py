@@ -13,7 +13,8 @@ import pytest
 from mrtask.homes.download import HOUSEKEEP, SPLITS_FILE, VOTES_FILE, RemoteFile
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.votes import VotesError
-from pipeline.base.config import Contents, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Contents
 from pipeline.store import voted_contents as module
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.voted_contents import voted_contents

@@ -14,7 +14,8 @@ from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline import train
 from pipeline.app.main import CONF_DIR
-from pipeline.base.config import Config, ModelKind, UserError, content_hash, load
+from pipeline.base.config import Config, UserError, content_hash, load
+from pipeline.base.sections import ModelKind
 
 
 @pytest.fixture(autouse=True)
