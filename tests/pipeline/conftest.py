@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mlflow
 import pytest
+from hydra._internal.hydra import Hydra
 
 from mrtask.analysis import exhibits, sensitivity
 from pipeline.backends import tracking
@@ -60,6 +61,12 @@ def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (exhibits, sensitivity):
         monkeypatch.setattr(module, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
     monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
+
+
+@pytest.fixture(autouse=True)
+def _mode_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hydra composes the whole configuration twice, first only to look for `hydra.mode`, which ours never sets."""
+    monkeypatch.setattr(Hydra, "get_mode", lambda self, config_name, overrides: None)
 
 
 @pytest.fixture(scope="session")
