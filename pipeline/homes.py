@@ -15,12 +15,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from mrtask.analysis.floor_plans import draw_gallery, draw_home
-from mrtask.execution.trials import key_seed
 from mrtask.files import sha256_of
 from mrtask.homes import procthor, split
 from mrtask.homes.download import DownloadError, fetch_procthor10k
 from mrtask.homes.generator import house
-from mrtask.homes.generator.house import generate_house, write_houses
+from mrtask.homes.generator.house import write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.split import HomeSplit, split_homes
 from mrtask.likelihood.rows import SPLITS
@@ -58,6 +57,7 @@ from pipeline.store.layout import HOMES
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
 from pipeline.store.voted_contents import say_match, voted_contents
+from pipeline.store.worker import generate_numbered
 
 GENERATED_FILE = "generated.jsonl.gz"
 DRAWN_PER_CLASS = 4
@@ -149,7 +149,7 @@ def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
     waiting: dict[int, dict[str, Any]] = {}
     following = 0
     with console.Progress(total, "homes") as progress:
-        for outcome in pool.run(_generate_one, range(total), seed):
+        for outcome in pool.run(generate_numbered, range(total), seed):
             if outcome is None:
                 continue
             if outcome.failure is not None or outcome.value is None:
@@ -159,10 +159,6 @@ def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
             while following in waiting:
                 yield waiting.pop(following)
                 following += 1
-
-
-def _generate_one(number: int, seed: int) -> dict[str, Any]:
-    return generate_house(key_seed(seed, "home", number), SIZE_CLASSES[number % len(SIZE_CLASSES)])
 
 
 def _downloaded(options: Procthor10kHomes, datasets_dir: Path) -> HouseFiles:
