@@ -1,8 +1,9 @@
-"""One task in one world by one planner: pyrobosim's robots do what the live process orders, over its pipes.
+"""One task in one world by one planner: pyrobosim's robots do what the live process orders.
 
 The live process is `pipeline.live` (`simulators.pyrobosim.served`), which gets the map, the containers' places and the
-task, and is told what happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while it thinks. On arrival a
-robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the object up and put it back.
+task, and is told what happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while
+it thinks. On arrival a robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the
+object up and put it back.
 """
 
 import queue

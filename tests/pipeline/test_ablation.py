@@ -81,7 +81,8 @@ def test_arms_can_differ_in_what_planners_are_given() -> None:
 
 
 def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
-    arms = [("sees all", ()), ("misses", ("perception.true_positive_prob=0.7",)), ("same", ("planner.known.samples=9",))]
+    poor = ("perception.true_positive_prob=0.7",)
+    arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
     sees_all, misses = lay_out(make(), arms, ("pouct",), "test")
     assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
     assert misses.configured().perception.true_positive_prob == 0.7

@@ -44,7 +44,7 @@ def test_the_apartments_hold_what_the_paper_says(name: str, number: int) -> None
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_ways_through_the_apartments_are_as_long_as_the_published_ones(number: int) -> None:
-    """Nothing is searched: whoever knows where things are drives what the paper's planner drove, the myopic one as its."""
+    """Who knows where things are drives about what the paper's planner drove, the myopic planner what its one did."""
     folder = SCENARIOS / f"apartment{number}"
     options = yaml.safe_load((folder / "scenario.yaml").read_text())
     home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")
