@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mrtask.analysis.statistics import improvement_percent, paired_costs
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.execution.trials import Trial
 from mrtask.planning.planners import make_planner
@@ -202,7 +203,7 @@ class PomdpPy:
 
 
 def main() -> None:
-    """Prints mean costs on the same trials."""
+    """Prints mean costs on the same trials, and what ours saves with 95 % intervals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=12)
     parser.add_argument("--seconds", type=float, default=0.2, help="for each decision")
@@ -233,6 +234,10 @@ def main() -> None:
         .div(frame.groupby("planner")["decisions"].sum(), axis=0)
     )
     print(frame.groupby("planner")["cost_s"].agg(["count", "mean"]).join(per_decision).sort_values("mean").round(3))
+    costs = paired_costs(frame.rename(columns={"trial": "trial_id"}))
+    for name in costs.columns.drop("pouct"):
+        saved = improvement_percent(costs["pouct"].to_numpy(), costs[name].to_numpy())
+        print(f"pouct over {name}: {saved.value:.1f} % ({saved.low:.1f}, {saved.high:.1f})")
 
 
 def _arguments(trial: Trial) -> tuple[Any, ...]:

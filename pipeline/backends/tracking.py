@@ -184,22 +184,22 @@ def run(
 
 def has_run(tracking: Tracking, run_id: str) -> bool:
     """Whether the store holds the run; it does not where the run was recorded in another store."""
-    try:
-        mlflow.MlflowClient(tracking.uri).get_run(run_id)
-    except MlflowException as error:
-        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
-            raise
-        return False
-    return True
+    return _status(tracking, run_id) is not None
 
 
 def end_abandoned(tracking: Tracking, run_id: str) -> None:
     """Mark a run KILLED whose driver is gone without having ended it; for whoever continues its work."""
-    if not has_run(tracking, run_id):
-        return
-    client = mlflow.MlflowClient(tracking.uri)
-    if client.get_run(run_id).info.status == "RUNNING":
-        client.set_terminated(run_id, "KILLED")
+    if _status(tracking, run_id) == "RUNNING":
+        mlflow.MlflowClient(tracking.uri).set_terminated(run_id, "KILLED")
+
+
+def _status(tracking: Tracking, run_id: str) -> str | None:
+    try:
+        return str(mlflow.MlflowClient(tracking.uri).get_run(run_id).info.status)
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
+        return None
 
 
 def log_metrics(run: Run, metrics: Mapping[str, float], step: int | None = None) -> None:

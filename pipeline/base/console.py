@@ -55,9 +55,10 @@ class Progress:
     """One bar (or a plain line now and then) for ``total`` things, of which ``done`` were there before."""
 
     def __init__(self, total: int, unit: str, done: int = 0) -> None:
-        self._total, self._unit, self._done, self._before = total, unit, done, done
+        self._total, self._unit, self._done = total, unit, done
         self._note = ""
-        self._start_s = self._last_line_s = time.monotonic()
+        self._last_line_s = time.monotonic()
+        self._first: tuple[int, float] | None = None
         self._bar: tqdm[object] | None = None
         if sys.stderr.isatty():
             form = (
@@ -71,6 +72,7 @@ class Progress:
         """``count`` more are done; ``note`` stands at the end of the line."""
         self._done += count
         self._note = note or self._note
+        self._first = self._first or (self._done, time.monotonic())
         if self._bar is not None:
             self._bar.set_postfix_str(self._note, refresh=False)
             self._bar.update(count)
@@ -79,11 +81,17 @@ class Progress:
             line(self._plain())
 
     def _plain(self) -> str:
-        rate = (self._done - self._before) / (time.monotonic() - self._start_s)
-        left = f", {duration((self._total - self._done) / rate)} left" if rate > 0 else ""
-        note = f", {self._note}" if self._note else ""
+        return ", ".join(filter(None, (f"{self._done}/{self._total} {self._unit}", self._pace(), self._note)))
+
+    def _pace(self) -> str:
+        """The rate since the first result, before which workers start and compile; nothing before the second."""
+        assert self._first is not None
+        first_done, first_s = self._first
+        rate = (self._done - first_done) / max(time.monotonic() - first_s, 1e-9)
+        if rate == 0:
+            return ""
         speed = f"{rate:.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
-        return f"{self._done}/{self._total} {self._unit}, {speed}{left}{note}"
+        return f"{speed}, {duration((self._total - self._done) / rate)} left"
 
     def __enter__(self) -> "Progress":
         return self
