@@ -34,6 +34,8 @@ class Protocol:
     overrides: tuple[str, ...]
     in_detail: bool = False
     is_step: bool = False
+    against: str | None = None
+    """The arm from which it differs by one switch."""
 
 
 def run(config: Config, session: Session) -> None:
@@ -57,12 +59,12 @@ def protocols(ablation: Ablation) -> list[Protocol]:
     every = tuple(override for switch in switches for override in switch.overrides)
     found = [Protocol(PAPER, (), in_detail=True)]
     if ablation.added_alone:
-        found += [Protocol(f"{PAPER} + {switch.name}", switch.overrides) for switch in switches]
+        found += [Protocol(f"{PAPER} + {switch.name}", switch.overrides, against=PAPER) for switch in switches]
     if switches:
         found.append(Protocol(AUTHORS, every, in_detail=True))
     for left_out in switches if ablation.taken_alone else ():
         rest = tuple(override for switch in switches if switch is not left_out for override in switch.overrides)
-        found.append(Protocol(f"{AUTHORS} - {left_out.name}", rest))
+        found.append(Protocol(f"{AUTHORS} - {left_out.name}", rest, against=AUTHORS))
     so_far = accumulate(step.overrides for step in ablation.steps)
     for step, overrides in zip(ablation.steps, so_far, strict=True):
         found.append(Protocol(f"step: {step.name}", overrides, in_detail=True, is_step=True))
@@ -76,7 +78,7 @@ def _arm_rows(shared: SharedRun, arms: list[Protocol]) -> Iterator[ArmRows]:
     protocol_of = {arm.name: arm for arm in arms}
     for name, of_arm in shared.by_arm(rows.merge(traces, on=["trial_id", "planner"], how="left")):
         arm = protocol_of[name]
-        yield ArmRows(name, of_arm, arm.overrides, arm.in_detail, arm.is_step)
+        yield ArmRows(name, of_arm, arm.overrides, arm.in_detail, arm.is_step, arm.against)
 
 
 STAGE = Stage(run)

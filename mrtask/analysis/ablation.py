@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from mrtask.analysis.columns import Entry, Row, Table
+from mrtask.analysis.columns import Entry, Row, Table, interval_text
 from mrtask.analysis.episodes import checked_episodes
 from mrtask.analysis.findings import Findings
 from mrtask.analysis.published import Cell, Published, load_published
@@ -21,9 +21,12 @@ from mrtask.analysis.statistics import (
     BASELINES,
     EVERYTHING,
     INFORMED_BASELINE,
+    Bootstrap,
     Estimate,
+    Floats,
     Summary,
     cell_name,
+    improvement_of_means,
     improvement_percent,
     summarise,
 )
@@ -49,6 +52,8 @@ class ArmRows:
     in_detail: bool
     """Whether the arm also appears in the tables by template and of waiting: end points and steps."""
     is_step: bool = False
+    against: str | None = None
+    """The arm that this one differs from by one switch."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +91,9 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
         (
             "ours",
             f"{planner_label(OUR_PLANNER)} under every protocol",
-            verdict_table(found, published, OUR_PLANNER),
+            verdict_table(_unlike(found, OUR_PLANNER), published, OUR_PLANNER),
         ),
+        ("switches", "What each switch moves", switch_table(found)),
         ("steps", f"From {PAPERS_PLANNER} to {OUR_PLANNER}", step_table([a for a in found if a.rows.is_step])),
         ("templates", "By template", template_table([arm for arm in found if arm.rows.in_detail])),
         ("waiting", "How long robots wait", waiting_table([arm for arm in found if arm.rows.in_detail])),
@@ -159,6 +165,45 @@ def verdict_table(arms: Sequence[_Arm], published: Published, planner: str) -> T
             rows.append(Row(arm.rows.name, (Entry(_counts(arm, published, planner, [baseline])), *entries)))
     headings = (("", f"{ABOVE} {LEVEL} {BELOW}"), *cell_headings(cells), ("all", "all teams"))
     return Table(headings, tuple(rows)) if cells else None
+
+
+def _unlike(arms: Sequence[_Arm], planner: str) -> list[_Arm]:
+    """The arms without those in which the planner and the baselines have the costs that they have in an earlier one."""
+    kept: dict[tuple[str, ...], _Arm] = {}
+    for arm in arms:
+        kept.setdefault(tuple(_costs(arm, name).sort_index().to_json() for name in (planner, *BASELINES)), arm)
+    return list(kept.values())
+
+
+def switch_table(arms: Sequence[_Arm]) -> Table | None:
+    """By how many points each switch moves the paper's planner's improvement over each baseline, by cell."""
+    by_name = {arm.rows.name: arm for arm in arms}
+    pairs = [(arm, by_name[arm.rows.against]) for arm in arms if arm.rows.against]
+    if not pairs:
+        return None
+    cells = [*arms[0].summary.cells, EVERYTHING]
+    rows: list[Row] = []
+    for baseline in BASELINES:
+        rows.append(Row(f"Points of improvement over {planner_label(baseline)}", heading=True))
+        rows += [
+            Row(arm.rows.name, tuple(_moved(arm, other, baseline, cell) for cell in cells)) for arm, other in pairs
+        ]
+    return Table((*cell_headings(cells[:-1]), ("all", "all teams")), tuple(rows))
+
+
+def _moved(arm: _Arm, against: _Arm, baseline: str, cell: Cell) -> Entry:
+    """The difference of two arms' improvements, resampled by the trials' numbers, which planner switches share."""
+    series = [_costs(one, name, cell) for one in (arm, against) for name in (PAPERS_PLANNER, baseline)]
+    estimate = Bootstrap(pd.concat(series, axis=1, join="inner").to_numpy()).estimate(_difference)
+    if not estimate.defined:
+        return Entry(NOTHING)
+    tone = "good" if estimate.low > 0 else "bad" if estimate.high < 0 else ""
+    return Entry(f"{estimate.value:+.1f}", (interval_text(estimate),), tone)
+
+
+def _difference(means: Floats) -> Floats:
+    """From means [..., 4] of planner and baseline in one arm and in another."""
+    return improvement_of_means(means[..., :2]) - improvement_of_means(means[..., 2:])
 
 
 def step_table(steps: Sequence[_Arm]) -> Table | None:

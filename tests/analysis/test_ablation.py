@@ -48,7 +48,7 @@ def page():
     same = episodes({"pouct_paper": published, "pouct": 30.0}, seed=1)
     arms = [
         ArmRows("paper", paper, (), in_detail=True),
-        ArmRows("paper + luck", same, ("planner.pouct_paper.luck=true",), in_detail=False),
+        ArmRows("paper + luck", same, ("planner.pouct_paper.luck=true",), in_detail=False, against="paper"),
         ArmRows("step: text", paper, ("a=1",), in_detail=True, is_step=True),
         ArmRows("step: half", episodes({"pouct_paper": 15.0, "pouct": 30.0}), ("b=1",), in_detail=True, is_step=True),
     ]
@@ -79,6 +79,19 @@ def test_verdicts_stand_beside_every_arm(page):
     assert "<b>0 0 2</b>" in rows["paper"]  # no improvement: below both published ones
     assert "<b>1 1 0</b>" in rows["paper + luck"]  # as published with one robot, more with two
     assert "paper 15.71 %" in rows["paper"]
+
+
+def test_arms_that_leave_our_planner_as_it_is_are_shown_once(page):
+    rows = table_rows(page.split('id="ours"')[1].split('id="switches"')[0], "Improvement over learned_myopic")
+    assert list(rows) == ["paper", "paper + luck"]  # the steps change the other planner alone
+
+
+def test_switches_are_compared_with_the_arm_without_them(page):
+    published = load_published().improvement_percent[("learned_myopic", ("small", 1))]
+    rows = table_rows(page, "Points of improvement over learned_myopic")
+    assert list(rows) == ["paper + luck"]
+    points = [float(entry.split("</b>")[0]) for entry in rows["paper + luck"].split("<b>")[1:]]
+    assert points == pytest.approx([published] * 3, abs=1)
 
 
 def test_steps_add_up_and_end_at_our_planner(page):
