@@ -81,6 +81,15 @@ def test_arms_can_differ_in_what_planners_are_given() -> None:
     assert [configured.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
 
 
+def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
+    poor = ("perception.true_positive_prob=0.7",)
+    arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
+    sees_all, misses = lay_out(make(), arms, ("pouct",), "test")
+    assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
+    assert misses.configured().perception.true_positive_prob == 0.7
+    assert misses.configured().output_dir != sees_all.configured().output_dir
+
+
 def test_all_switches_together_are_the_preset_authors() -> None:
     """But for where homes and likelihoods come from."""
     every = [override for switch in make().ablation.switches for override in switch.overrides]
