@@ -11,6 +11,7 @@ BIN := $(VENV)/bin
 # Written last: an interrupted installation leaves it out and the next `make` installs again.
 STAMP := $(VENV)/.installed
 LOG := $(VENV)/install.log
+PIP_INSTALL := $(BIN)/python -m pip install --constraint constraints.txt $(PIP_OPTIONS)
 
 .DEFAULT_GOAL := help
 .PHONY: help install doctor reproduce test lint bench docs dashboard clean-cache
@@ -28,8 +29,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "Installing into $(VENV), once, a few minutes (log: $(LOG))"
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV)
 	@rm -f $(STAMP)
-	@{ $(BIN)/python -m pip install --constraint constraints.txt --upgrade pip setuptools && \
-		$(BIN)/python -m pip install --constraint constraints.txt --no-build-isolation --editable '.[dev,pipeline,ros,s3,sim]'; \
+	@{ $(PIP_INSTALL) --upgrade pip setuptools && \
+		$(PIP_INSTALL) --no-build-isolation --editable '.[dev,pipeline,ros,s3,sim]'; \
 	} >$(LOG) 2>&1 || { tail -n 20 $(LOG) >&2; echo "error: the installation failed; the whole log is in $(LOG)" >&2; exit 1; }
 	@touch $(STAMP)
 

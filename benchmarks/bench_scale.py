@@ -32,7 +32,7 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
-from pipeline.base.config import Cluster
+from pipeline.base.sections import Cluster
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_one, warm
 
 PLANNER = "pouct"

@@ -9,6 +9,7 @@ import ast
 import hashlib
 import os
 from collections.abc import Iterable, Iterator
+from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
 
@@ -70,7 +71,8 @@ def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
         if path is None or name in modules:
             continue
         modules[name] = path
-        imported = {part for imported in _imports(path, name) for part in _with_parents(imported)}
+        within = name if path.stem == "__init__" else name.rpartition(".")[0]
+        imported = {part for imported in _imports(path.read_bytes(), within) for part in _with_parents(imported)}
         waiting |= {part for part in imported if part.partition(".")[0] == package}
     return frozenset(
         file for path in modules.values() for file in path.parent.glob(f"{path.stem}.*") if file.suffix in SUFFIXES
@@ -83,16 +85,17 @@ def _file_of(module: str, root: Path) -> Path | None:
     return next((path for path in (base.with_suffix(".py"), base / "__init__.py") if path.is_file()), None)
 
 
-def _imports(path: Path, module: str) -> Iterator[str]:
+@cache
+def _imports(code: bytes, package: str) -> frozenset[str]:
     """The names imported anywhere in a file; for ``from a import b`` both ``a`` and ``a.b``, which may be a module."""
-    package = module if path.stem == "__init__" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             source = resolve_name("." * node.level + (node.module or ""), package)
-            yield source
-            yield from (f"{source}.{alias.name}" for alias in node.names)
+            names.update((source, *(f"{source}.{alias.name}" for alias in node.names)))
+    return frozenset(names)
 
 
 def _with_parents(module: str) -> Iterator[str]:

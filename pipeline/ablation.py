@@ -16,7 +16,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import SharedRun, run_arms
 from pipeline.base import console
-from pipeline.base.config import Ablation, Config
+from pipeline.base.config import Config
+from pipeline.base.studies import Ablation
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import REPORT, REPORT_INDEX

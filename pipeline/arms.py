@@ -15,7 +15,8 @@ import pandas as pd
 from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
-from pipeline.base.config import Config, OtherLikelihood, PlannerVariant, UserError, content_hash, with_overrides
+from pipeline.base.config import Config, UserError, content_hash, with_overrides
+from pipeline.base.sections import OtherLikelihood, PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
 from pipeline.store import layout
 from pipeline.store.folder import Folder
@@ -23,7 +24,7 @@ from pipeline.store.layout import EPISODES
 
 Arm = tuple[str, Sequence[str]]
 """A name and the overrides, ``key=value``."""
-OF_TRIALS = {"seed", "map", "homes", "contents", "evaluation", "belief"}
+OF_TRIALS = {"seed", "map", "homes", "contents", "perception", "evaluation", "belief"}
 """The parts of the configuration that decide which trials there are, and what is learned from one to the next; the
 planners' options and likelihoods are the rest of an arm."""
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import build_dataset, is_current, write_dataset
-from mrtask.likelihood.rows import SPLITS, label_rows, vocabulary
+from mrtask.likelihood.rows import SPLITS, vocabulary
 from pipeline import homes
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
@@ -21,6 +21,7 @@ from pipeline.base import console
 from pipeline.base.config import Config, content_hash
 from pipeline.store.home_set import HomeSet
 from pipeline.store.version import code_version, source_hash
+from pipeline.store.worker import label_chunk
 
 HOMES_PER_TASK = 25
 
@@ -61,17 +62,13 @@ def _label(members: Mapping[str, Sequence[Home]], pool: Pool) -> Iterator[pd.Dat
     everyone = [home for split in members.values() for home in split]
     chunks = [everyone[start : start + HOMES_PER_TASK] for start in range(0, len(everyone), HOMES_PER_TASK)]
     with console.Progress(len(everyone), "homes") as progress:
-        for outcome in pool.run(_label_chunk, range(len(chunks)), chunks, vocabulary(members["train"])):
+        for outcome in pool.run(label_chunk, range(len(chunks)), chunks, vocabulary(members["train"])):
             if outcome is None:
                 continue
             if outcome.value is None:
                 raise RuntimeError(f"homes could not be labelled: {outcome.failure}")
             progress.update(len(chunks[outcome.item]))
             yield outcome.value
-
-
-def _label_chunk(number: int, chunks: Sequence[Sequence[Home]], objects: tuple[str, ...]) -> pd.DataFrame:
-    return pd.concat([label_rows(home, objects) for home in chunks[number]], ignore_index=True)
 
 
 STAGE = Stage(run)

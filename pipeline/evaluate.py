@@ -21,7 +21,8 @@ from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import tracking
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import Config, Evaluation, UserError
+from pipeline.base.config import Config, UserError
+from pipeline.base.sections import Evaluation
 from pipeline.episodes.pilot import pilot
 from pipeline.episodes.plan import EvaluationPlan, check, plan_evaluation
 from pipeline.episodes.runner import map_homes, run_episodes

@@ -15,12 +15,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from mrtask.analysis.floor_plans import draw_gallery, draw_home
-from mrtask.execution.trials import key_seed
 from mrtask.files import sha256_of
 from mrtask.homes import procthor, split
 from mrtask.homes.download import DownloadError, fetch_procthor10k
 from mrtask.homes.generator import house
-from mrtask.homes.generator.house import generate_house, write_houses
+from mrtask.homes.generator.house import write_houses
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.split import HomeSplit, split_homes
 from mrtask.likelihood.rows import SPLITS
@@ -31,8 +30,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console
-from pipeline.base.config import (
-    Config,
+from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.sections import (
     Contents,
     GeneratedHomes,
     Homes,
@@ -41,8 +40,6 @@ from pipeline.base.config import (
     Procthor10kHomes,
     ProcthorHomes,
     RosMapHomes,
-    UserError,
-    content_hash,
 )
 from pipeline.store import artifacts
 from pipeline.store.folder import Folder
@@ -60,6 +57,7 @@ from pipeline.store.layout import HOMES
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
 from pipeline.store.voted_contents import say_match, voted_contents
+from pipeline.store.worker import generate_numbered
 
 GENERATED_FILE = "generated.jsonl.gz"
 DRAWN_PER_CLASS = 4
@@ -151,7 +149,7 @@ def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
     waiting: dict[int, dict[str, Any]] = {}
     following = 0
     with console.Progress(total, "homes") as progress:
-        for outcome in pool.run(_generate_one, range(total), seed):
+        for outcome in pool.run(generate_numbered, range(total), seed):
             if outcome is None:
                 continue
             if outcome.failure is not None or outcome.value is None:
@@ -161,10 +159,6 @@ def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
             while following in waiting:
                 yield waiting.pop(following)
                 following += 1
-
-
-def _generate_one(number: int, seed: int) -> dict[str, Any]:
-    return generate_house(key_seed(seed, "home", number), SIZE_CLASSES[number % len(SIZE_CLASSES)])
 
 
 def _downloaded(options: Procthor10kHomes, datasets_dir: Path) -> HouseFiles:

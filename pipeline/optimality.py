@@ -20,7 +20,8 @@ from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.episodes.plan import check, plan_evaluation
-from pipeline.episodes.worker import Context, EpisodeKey, assess_trial, warm
+from pipeline.episodes.studies import assess_trial
+from pipeline.episodes.worker import Context, EpisodeKey, warm
 from pipeline.evaluate import load_model
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import OPTIMALITY

@@ -26,7 +26,8 @@ from pipeline.backends import tracking
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, with_overrides
 from pipeline.episodes.plan import plan_evaluation
-from pipeline.episodes.worker import Context, HomeTasks, beliefs_in_home
+from pipeline.episodes.studies import HomeTasks, beliefs_in_home
+from pipeline.episodes.worker import Context
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import BELIEFS, REPORT, REPORT_INDEX

@@ -24,7 +24,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes, UserError
+from pipeline.base.config import Config, UserError
+from pipeline.base.sections import GeneratedHomes, Map, Procthor10kHomes, ProcthorHomes
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
 from pipeline.store.layout import REALISM

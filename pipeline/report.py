@@ -24,7 +24,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.base import console
-from pipeline.base.config import Config, Tracking, UserError, content_hash
+from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.sections import Tracking
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder, locked

@@ -14,7 +14,8 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Arm, run_arms
 from pipeline.base import console
-from pipeline.base.config import Config, Factor
+from pipeline.base.config import Config
+from pipeline.base.studies import Factor
 from pipeline.store.folder import Folder, locked
 from pipeline.store.layout import REPORT_INDEX, SENSITIVITY
 from pipeline.store.rows import read_episodes

@@ -24,7 +24,8 @@ from pipeline.app.stage import Session, Stage
 from pipeline.backends import tracking
 from pipeline.backends.tracking import ChampionError
 from pipeline.base import console, interrupt
-from pipeline.base.config import Config, Frequency, Model, Network, Tracking, Trainer, content_hash
+from pipeline.base.config import Config, content_hash
+from pipeline.base.sections import Frequency, Model, Network, Tracking, Trainer
 from pipeline.store import artifacts
 from pipeline.store.records import TrainedModelRecord
 from pipeline.store.version import code_version, source_hash

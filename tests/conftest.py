@@ -16,23 +16,23 @@ from mrtask.homes.procthor import parse_house
 from mrtask.maps.home_map import HomeMap, build_map
 
 _generate_once = functools.cache(generated.generate_home)
-RAY_SESSIONS = 2
 SHARED_HOMES = Path(__file__).resolve().parents[2] / "shared" / "homes"
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where several processes share the tests, each of two has a Ray session and a finished experiment of its own.
+    """Where several processes share the tests, one of them has the Ray session and the finished experiment.
 
-    Tests of one file stay together, since they share what its fixtures set up. The longest come first.
+    The other tests of one file stay together, since they share what its fixtures set up. First come the tests with Ray,
+    which take one process as long as the others take another, then those of whole programs, which are the longest.
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    files = sorted({_file(item) for item in items if "ray_session" in getattr(item, "fixturenames", ())})
+    with_ray = {_file(item) for item in items if "ray_session" in getattr(item, "fixturenames", ())}
     for item in items:
         file = _file(item)
-        item.add_marker(pytest.mark.xdist_group(f"ray-{files.index(file) % RAY_SESSIONS}" if file in files else file))
-    items.sort(key=lambda item: _file(item) not in files)
+        item.add_marker(pytest.mark.xdist_group("ray" if file in with_ray else file))
+    items.sort(key=lambda item: (_file(item) not in with_ray, _file(item).count("/")))
 
 
 def _file(item: pytest.Item) -> str:

@@ -74,6 +74,7 @@ def test_forbidden_imports_are_noticed(tmp_path: Path) -> None:
         ("mrtask/maps/smuggler.py", "import mlflow", "the library knows nothing"),
         ("pipeline/backends/smuggler.py", "import ray", "only pipeline.backends.pool knows ray"),
         ("pipeline/backends/smuggler.py", "import mlflow", "only pipeline.backends' tracking"),
+        ("mrtask/maps/cache.py", "import matplotlib", "workers start soon"),
         ("pipeline/app/smuggler.py", "import pipeline.report", "the pipeline's stages"),
         ("pipeline/episodes/smuggler.py", "import pipeline.app.stage", "the pipeline's stages"),
         ("pipeline/backends/smuggler.py", "import pipeline.episodes.plan", "the pipeline's stages"),
@@ -116,11 +117,9 @@ def test_every_kernel_is_where_the_compilers_cache_looks_for_edits() -> None:
     assert {path.parent.relative_to(ROOT).as_posix() for path in compiled} == set(KERNEL_SOURCES)
 
 
-def test_the_data_folder_is_no_package_and_disturbs_no_library() -> None:
+def test_the_data_folder_is_no_package() -> None:
+    """Libraries import one of its name; `tests/likelihood/test_embeddings.py` has them do so from here."""
     assert not list((ROOT / "datasets").rglob("*.py"))
-    done = run(sys.executable, "-c", "import sentence_transformers; print(sentence_transformers.__version__)")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == PINS["sentence-transformers"]
 
 
 class FakePython:
@@ -185,7 +184,8 @@ def test_an_old_python_is_refused_with_what_to_do(fake_python: FakePython) -> No
 
 def test_readme_and_ci_run_the_same_tests() -> None:
     assert "make test" in (ROOT / "README.md").read_text()
-    assert "make test" in (ROOT / ".ci" / "run").read_text().splitlines()
+    lines = (ROOT / ".ci" / "run").read_text().splitlines()
+    assert {"make test || failed=1", 'make lint >"$said" 2>&1 &', 'exit "$failed"'} <= set(lines)
 
 
 def test_the_data_readme_lists_what_is_downloaded() -> None:

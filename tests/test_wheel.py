@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from mrtask.cli import STAGES
-from tests.pipeline.harness import SMALL
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKED = ("mrtask", "pipeline", "conf")
@@ -88,8 +87,9 @@ print(*rows.status)
 def test_stages_run_from_it(site: Path, tmp_path: Path) -> None:
     refused = run(site, tmp_path, "-m", "mrtask.cli", "reproduced")
     assert refused.returncode == 2 and "no command 'reproduced'" in refused.stderr
-    quick = [one for one in SMALL if not one.startswith("evaluation.planners")]
-    arguments = [*quick, "evaluation.planners=[nonlearned_myopic]", "output_dir=out", "cluster.cpus=1"]
+    homes = ("homes.train=3", "homes.validation=1", "homes.test=2", "model=frequency")
+    episodes = ("evaluation.planners=[nonlearned_myopic]", "evaluation.trials_per_cell=1", "evaluation.robots=[1]")
+    arguments = [*homes, *episodes, "evaluation.size_classes=[small]", "output_dir=out", "cluster.cpus=1"]
     done = run(site, tmp_path, "-m", "mrtask.cli", "reproduce", *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     assert (tmp_path / "out" / "report" / "index.html").is_file()

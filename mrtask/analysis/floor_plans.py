@@ -10,10 +10,10 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 from matplotlib.path import Path
-from shapely import get_coordinates, maximum_inscribed_circle, union_all
+from shapely import MultiLineString, get_coordinates, get_parts, line_merge, maximum_inscribed_circle, union_all
 from shapely.geometry import Polygon as ShapelyPolygon
 
-from mrtask.homes.home import SIZE_CLASSES, Home, Polygon, Room
+from mrtask.homes.home import SIZE_CLASSES, Home, Point, Polygon, Room
 from mrtask.maps.home_map import HomeMap
 
 ROOM_COLORS: Mapping[str, str] = {
@@ -120,19 +120,25 @@ def _draw_walls(home: Home, ax: Axes) -> None:
     """All room outlines, with the doors between rooms cut out and those to the outside dashed."""
     for room in home.rooms:
         ax.add_patch(Patch(room.polygon, fill=False, edgecolor=WALL_COLOR, linewidth=WALL_WIDTH_PT, zorder=3))
-    for door in home.doors:
-        (x0, y0), (x1, y1) = door.start, door.end
-        inner = door.rooms[0] != door.rooms[1]
-        color, style = (OTHER_ROOM_COLOR, "-") if inner else ("white", (0, (1, 1)))
-        ax.plot(
-            [x0, x1],
-            [y0, y1],
-            color=color,
-            linestyle=style,
-            linewidth=WALL_WIDTH_PT + 0.6,
-            solid_capstyle="butt",
-            zorder=4,
-        )
+    ways_out = [[door.start, door.end] for door in home.doors if door.rooms[0] == door.rooms[1]]
+    for lines, color, style in ((passages(home), OTHER_ROOM_COLOR, "-"), (ways_out, "white", (0, (1, 1)))):
+        for line in lines:
+            ax.plot(
+                *zip(*line, strict=True),
+                color=color,
+                linestyle=style,
+                linewidth=WALL_WIDTH_PT + 0.6,
+                solid_capstyle="butt",
+                solid_joinstyle="miter",
+                zorder=4,
+            )
+
+
+def passages(home: Home) -> list[list[Point]]:
+    """The openings between rooms as lines; openings that go on round a corner are one line."""
+    inner = [(door.start, door.end) for door in home.doors if door.rooms[0] != door.rooms[1]]
+    merged = line_merge(MultiLineString(inner))
+    return [[(float(x), float(y)) for x, y in line.coords] for line in get_parts(merged)]
 
 
 def clear_spot(home: Home, room: Room) -> tuple[float, float]:

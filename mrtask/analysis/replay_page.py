@@ -13,7 +13,7 @@ from markupsafe import Markup
 from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.analysis.automaton_drawing import RADIUS, draw_automaton
-from mrtask.analysis.floor_plans import ROOM_COLORS, clear_spot
+from mrtask.analysis.floor_plans import ROOM_COLORS, clear_spot, passages
 from mrtask.analysis.replay import Decision, Replay, Run
 from mrtask.analysis.sheet import Sheet
 from mrtask.analysis.style import ROBOT_COLORS, counted
@@ -108,10 +108,7 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
         }
         for room in home.rooms
     ]
-    doors = [
-        {"ends": (*sheet.point(door.start), *sheet.point(door.end)), "inner": door.rooms[0] != door.rooms[1]}
-        for door in home.doors
-    ]
+    ways_out = [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]]
     containers = [
         {
             "index": index,
@@ -127,7 +124,13 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
     # Small furniture stands partly under large.
     containers.sort(key=lambda view: -ShapelyPolygon(home.containers[view["index"]].footprint).area)
     obstacles = [sheet.points(obstacle.footprint) for obstacle in home.obstacles]
-    return {"rooms": rooms, "doors": doors, "containers": containers, "obstacles": obstacles}
+    return {
+        "rooms": rooms,
+        "doors": [sheet.points(line) for line in passages(home)],
+        "ways_out": ways_out,
+        "containers": containers,
+        "obstacles": obstacles,
+    }
 
 
 def _side(x: float, width: float) -> str:

@@ -4,6 +4,7 @@ For a map of one's own before anything was trained. What it knows are ProcTHOR's
 them (`mrtask.homes.catalogue`); names that are not in it get those of similar names.
 """
 
+from functools import cache
 from pathlib import Path
 
 import pandas as pd
@@ -32,6 +33,7 @@ def catalogue_triples() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*TRIPLE, "positives", "count"]).astype(dict.fromkeys(TRIPLE, "str"))
 
 
+@cache
 def catalogue_model(cache_dir: Path | None = None) -> SimilarityModel:
     """The model; the first call embeds some hundred names (seconds), which ``cache_dir`` keeps."""
     return train_similarity(catalogue_triples(), cache_dir=cache_dir)

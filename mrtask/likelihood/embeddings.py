@@ -89,7 +89,7 @@ def _load(model: str) -> "SentenceTransformer":
     import transformers
     from sentence_transformers import SentenceTransformer
 
-    transformers.utils.logging.disable_progress_bar()  # type: ignore[no-untyped-call]
+    transformers.utils.logging.disable_progress_bar()
     try:
         return SentenceTransformer(str(source), device="cpu", local_files_only=Path(source).is_dir())
     except (OSError, ValueError) as error:

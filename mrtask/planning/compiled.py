@@ -6,12 +6,11 @@ numba's cache does not notice an edited function in another file: after an edit 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, Flags
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from mrtask.planning.compiler import Kernel, PartCompiler
 
 F = TypeVar("F", bound=Callable[..., Any])
 Records = Any
@@ -24,74 +23,12 @@ functions that allocate need, each such call touches every array's counter: meas
 slower. A kernel must therefore allocate nothing. Nor does it divide by zero, so that it need not look for it."""
 
 
-class _Part(JITCodeLibrary):
-    """The code of a part: optimised and turned into machine code within kernels only, never by itself.
-
-    numba would do so for each function, over again for what is inlined into it: 2/3 of all time spent on compiling.
-    """
-
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """None of its functions can be called from outside."""
-        self._ensure_finalized()
-        return 0
-
-    @property
-    def codegen(self) -> "_Part":
-        """What `set_env` is asked of."""
-        return self
-
-    def set_env(self, name: str, environment: object) -> None:
-        """Python's environment is for functions that use Python objects."""
-
-
-class _KnownFlags(Flags):
-    """Flags that no longer change. numba looks up what it knows of a function by them, for each operator in it."""
-
-    def __init__(self, flags: Flags) -> None:
-        super().__init__(flags)
-        self._hash: int = super().__hash__()
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or bool(super().__eq__(other))
-
-    def copy(self) -> Flags:
-        """One that may change."""
-        return Flags(self)
-
-
-class _PartFlags(Flags):
-    """The flags that a part is compiled with."""
-
-    def copy(self) -> _KnownFlags:
-        """What numba works with: the same object for all parts compiled alike."""
-        return _known_flags.setdefault(Flags(self), _KnownFlags(self))
-
-
-_known_flags: dict[Flags, _KnownFlags] = {}
-
-
-class _PartCompiler(Compiler):
-    """numba's compiler with a `_Part` for the code."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.state.library = _Part(self.state.targetctx.codegen(), "part")
-        self.state.flags = _PartFlags(self.state.flags)
-
-
 def compiled(function: F) -> F:
-    """A kernel that Python calls: compiled with numba, with all that is inlined into it, and cached on disk."""
-    return cast(F, numba.njit(cache=True, **KERNEL)(function))
+    """A kernel that Python calls: compiled with numba, with all that is inlined into it, and cached on disk.
+
+    It hands its named tuples on to its parts `mrtask.planning.reference.by_reference`.
+    """
+    return cast(F, Kernel(function, KERNEL))
 
 
 def inlined(function: F) -> F:
@@ -99,12 +36,12 @@ def inlined(function: F) -> F:
 
     On its own it would be compiled three times, once more for each of the ways in which numba lets others call it.
     """
-    return register_jitable(pipeline_class=_PartCompiler, forceinline=True, **KERNEL)(function)
+    return register_jitable(pipeline_class=PartCompiler, forceinline=True, **KERNEL)(function)
 
 
 def called(function: F) -> F:
     """As `inlined`, but called within the kernel: for what is long and seldom needed."""
-    return register_jitable(pipeline_class=_PartCompiler, forceinline=False, **KERNEL)(function)
+    return register_jitable(pipeline_class=PartCompiler, forceinline=False, **KERNEL)(function)
 
 
 @inlined

@@ -7,6 +7,7 @@ import numpy as np
 from mrtask.planning import greedy_kernel as kernel
 from mrtask.planning.compiled import compiled
 from mrtask.planning.problem import REASSIGN, Assignment, Plan, PlanningProblem, check_choice
+from mrtask.planning.reference import by_reference
 from mrtask.planning.team import assignment_begun, root_world, team_model
 from mrtask.planning.team_kernel import NONE, Model, World
 
@@ -14,7 +15,10 @@ LATER_WEIGHT = 0.3
 """What finding an object that is needed later counts against finding one that advances the task now."""
 CACHED_ROWS = 4096
 
-_assign = compiled(kernel.assign)
+
+@compiled
+def _assign(model: Model, world: World, greedy: kernel.GreedyPolicy) -> None:
+    kernel.assign(by_reference(model), by_reference(world), by_reference(greedy))
 
 
 class Greedy:

@@ -34,6 +34,8 @@ U8 = NDArray[np.uint64]
 
 MIN_TRAVEL_S = 1e-9
 """Travel times count at least this much, so that likelihood decides between containers at no distance."""
+EVERYWHERE, NOWHERE = -2, -3
+"""Beside containers, the places to which robots meant to go that must look round again."""
 DETOUR_FACTOR = 1e3
 """Interactions that may hurt and lead no nearer to acceptance come after all others."""
 
@@ -173,9 +175,12 @@ def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int
     """
     row = _inverse_prob(model, world, greedy)
     fetching = _fetching(model, world)
-    action, _ = _best(model, world, greedy, row, fetching, _all_fetched(model, world, fetching), r)
-    if action == NONE:
-        action, _ = _best(model, world, greedy, row, 0, True, r)
+    ahead, action = _all_fetched(model, world, fetching), NONE
+    for _ in range(2):
+        action, _ = _best(model, world, greedy, row, fetching, ahead, r)
+        if action != NONE:
+            break
+        fetching, ahead = 0, True
     return action
 
 
@@ -190,40 +195,37 @@ def _least(world: World, greedy: GreedyPolicy) -> int:
 
 
 @inlined
-def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int) -> None:
-    """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots."""
+def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int, place: int) -> None:
+    """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots that meant to go to a place, or for all."""
     fetching = _fetching(model, world)
     ahead = _all_fetched(model, world, fetching)
     for r in range(world.robots.size):
-        if world.robots[r].undecided:
+        if world.robots[r].undecided and (place == EVERYWHERE or greedy.action[r] == place):
             greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
 
 
 @inlined
 def first_to_decide(model: Model, world: World, greedy: GreedyPolicy) -> int:
     """The undecided robot whose best action scores least; NONE if nobody is undecided."""
-    _look_round(model, world, greedy, _inverse_prob(model, world, greedy))
+    _look_round(model, world, greedy, _inverse_prob(model, world, greedy), EVERYWHERE)
     return _least(world, greedy)
 
 
 @inlined
 def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
     """Lets all undecided robots begin actions, each time the robot and action of least score over all."""
-    row = _inverse_prob(model, world, greedy)
-    _look_round(model, world, greedy, row)
-    robot = _least(world, greedy)
-    while robot != NONE:
-        act(model, world, robot, greedy.action[robot])
-        place = world.robots[robot].place
-        if world.robots[robot].mode == MOVING and world.containers[place].searched:  # an object is being fetched now
-            _look_round(model, world, greedy, row)
-        elif world.robots[robot].mode == MOVING:  # only who wanted to go there must look again
-            fetching = _fetching(model, world)
-            ahead = _all_fetched(model, world, fetching)
-            for r in range(world.robots.size):
-                if world.robots[r].undecided and greedy.action[r] == place:
-                    greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
+    row, taken = _inverse_prob(model, world, greedy), EVERYWHERE
+    while True:
+        _look_round(model, world, greedy, row, taken)
         robot = _least(world, greedy)
+        if robot == NONE:
+            break
+        act(model, world, robot, greedy.action[robot])
+        taken = NOWHERE
+        if world.robots[robot].mode == MOVING:
+            place = world.robots[robot].place
+            fetches = world.containers[place].searched  # what others then need not fetch
+            taken = EVERYWHERE if fetches else place
 
 
 @inlined

@@ -18,6 +18,7 @@ from mrtask.planning.paper_belief_kernel import (
     sample_outcome,
 )
 from mrtask.planning.paper_leaf_kernel import Bound, Rollouts, rest_s
+from mrtask.planning.reference import by_reference
 from mrtask.planning.tree import (
     EDGES,
     NODES,
@@ -148,5 +149,8 @@ def run_samples(
     samples: int,
 ) -> None:
     """Runs samples from node 0, which must exist; ``belief`` is overwritten."""
+    model, root, belief, tree = by_reference(model), by_reference(root), by_reference(belief), by_reference(tree)
+    rules, limits, exploration = by_reference(rules), by_reference(limits), by_reference(exploration)
+    bound, rollouts = by_reference(bound), by_reference(rollouts)
     for _ in range(samples):
         _sample(model, root, belief, tree, rules, limits, exploration, bound, rollouts, rng)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.greedy_kernel import GreedyPolicy, first_to_decide, next_action, rollout
+from mrtask.planning.reference import by_reference
 from mrtask.planning.team_kernel import (
     DECIDE,
     HISTORY,
@@ -146,5 +147,7 @@ def run_samples(
     model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: U8, samples: int
 ) -> None:
     """Runs samples from the root; ``world`` is overwritten."""
+    model, root, world = by_reference(model), by_reference(root), by_reference(world)
+    tree, greedy, search = by_reference(tree), by_reference(greedy), by_reference(search)
     for _ in range(samples):
         _sample(model, root, world, tree, greedy, search, rng)

@@ -27,7 +27,7 @@ from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
-from pipeline.base.config import Cluster
+from pipeline.base.sections import Cluster
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"

@@ -27,7 +27,8 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 from pipeline.base import interrupt
-from pipeline.base.config import Cluster, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Cluster
 
 OBJECT_STORE_BYTES = 512 * 2**20
 """For the few megabytes that all tasks share; Ray's default takes 30 % of the memory."""

@@ -17,15 +17,8 @@ from mrtask.likelihood.truth import catalogue_truth, counted_truth
 from mrtask.tasks.words import read_task
 from pipeline.backends.tracking import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import (
-    Config,
-    Evaluation,
-    EvaluationHomes,
-    OtherLikelihood,
-    PlannerVariant,
-    UserError,
-    content_hash,
-)
+from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.sections import Evaluation, EvaluationHomes, OtherLikelihood, PlannerVariant
 from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, formula_objects
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet

@@ -6,7 +6,7 @@ from dataclasses import replace
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
-from pipeline.base.config import Evaluation
+from pipeline.base.sections import Evaluation
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally

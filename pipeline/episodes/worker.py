@@ -13,11 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.analysis.bounds.assess import assess
-from mrtask.analysis.calibration import Task, beliefs_of
 from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
@@ -141,10 +138,10 @@ def _run(
 ) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
     """An episode's row and what it showed, after what earlier tasks in its home showed."""
     began_s = time.perf_counter()
-    bench = _bench(context)
+    bench = bench_of(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context, task, seen)
+    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context, task, seen)
     home_map = bench.map_of(trial.home_id)
     result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
     start_x_m, start_y_m = result.trace.start
@@ -170,7 +167,7 @@ def _run(
     return row, sightings_of(home, task, result.searched, trial.objects)
 
 
-def _likelihood(
+def likelihood_given(
     home: Home,
     objects: Sequence[str],
     seed: int,
@@ -192,40 +189,12 @@ def _likelihood(
     return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(objects)]
 
 
-def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
-    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
-    bench = _bench(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home = bench.homes[trial.home_id]
-    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
-    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
-
-
-@dataclass(frozen=True)
-class HomeTasks:
-    """A planner's tasks in one home, in order."""
-
-    planner: str
-    home_id: str
-    tasks: tuple[Task, ...]
-
-
-def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
-    """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
-    home = _bench(context).homes[done.home_id]
-
-    def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
-        return _likelihood(home, task.objects, task.seed, done.planner, context, number, seen)
-
-    return beliefs_of(home, done.tasks, believe)
-
-
 def warm(key: EpisodeKey, context: Context) -> None:
     """Compiles what the planner needs."""
-    bench = _bench(context)
+    bench = bench_of(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    likelihood = _likelihood(home, trial.objects, trial.seed, key.planner, context)
+    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
     warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
 
 
@@ -245,7 +214,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
     )
 
 
-class _Bench:
+class Bench:
     """A context unpacked in one worker."""
 
     def __init__(self, context: Context) -> None:
@@ -273,8 +242,9 @@ class _Bench:
 
 
 @lru_cache(maxsize=1)
-def _bench(context: Context) -> _Bench:
-    return _Bench(context)
+def bench_of(context: Context) -> Bench:
+    """A worker's only one at a time."""
+    return Bench(context)
 
 
 def formula_objects(formula: str) -> tuple[str, ...]:

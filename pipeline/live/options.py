@@ -10,7 +10,8 @@ from pydantic import Field, field_validator, model_validator
 from mrtask.execution.team import RobotSpec
 from mrtask.planning.planners import make_planner
 from pipeline.app.given import Coordinates, Given
-from pipeline.base.config import LocalPath, Perception
+from pipeline.base.sections import Perception
+from pipeline.base.values import LocalPath
 
 MIN_TOKEN = 16
 

@@ -1,7 +1,7 @@
 """A team of real robots: events come in as JSON lines, orders go out, by standard input and output or a WebSocket.
 
     python -m pipeline.live map=lab.yaml containers=containers.yaml task="pillow and remote" team="{r1: [1, 2]}"
-    python -m pipeline.live name=apartment1 team="{r1: [5.5, 0.6]}" websocket=8765 state=run/state.json
+    python -m pipeline.live name=apartment1 team="{r1: [5.8, 1.0]}" websocket=8765 state=run/state.json
 
 Messages and their meaning: mrtask/live/messages.py, as JSON Schema in mrtask/live/schemas; a client:
 pipeline/live/client.py. Killed and started again with the same state file it goes on. Every key: conf/live.yaml.

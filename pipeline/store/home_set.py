@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mrtask.homes.home import Home
 from mrtask.likelihood.rows import SPLITS
-from pipeline.base.config import EvaluationHomes
+from pipeline.base.sections import EvaluationHomes
 from pipeline.store.home_files import HomeFiles, HouseFiles
 from pipeline.store.records import HomesManifest
 

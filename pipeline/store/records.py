@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
-from pipeline.base.config import Map, UserError, content_hash
+from pipeline.base.config import UserError, content_hash
+from pipeline.base.sections import Map
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HomeFiles
 from pipeline.store.rows import Key, differences

@@ -17,7 +17,8 @@ from mrtask.homes.votes import ALL, SPLITS_SHA256, Votes, read_splits, read_vote
 from mrtask.likelihood.embeddings import nearest_name
 from mrtask.sources import hash_module
 from pipeline.base import console
-from pipeline.base.config import Contents, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Contents
 
 FOLDER = "housekeep"
 

@@ -1,15 +1,14 @@
-"""One task in one world by one planner: pyrobosim's robots do what the live process orders, over its pipes.
+"""One task in one world by one planner: pyrobosim's robots do what the live process orders.
 
-The live process is `python -m pipeline.live`, started with the map, the containers' places and the task, and told what
-happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while it thinks. On arrival a
-robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the object up and put it back.
+The live process is `pipeline.live` (`simulators.pyrobosim.served`), which gets the map, the containers' places and the
+task, and is told what happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while
+it thinks. On arrival a robot detects (`Robot.detect_objects`, partly observed objects); to interact is to pick the
+object up and put it back.
 """
 
 import queue
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,15 @@ from pyrobosim.utils.pose import Pose
 from mrtask.errors import InputError
 from mrtask.execution.trials import Trial
 from mrtask.homes.home import Point
-from pipeline.live.client import Message, PipeClient
+from pipeline.live.client import Client, Message
 from simulators.pyrobosim.fleet import REFUGE_M, STEP_S, Fleet
 from simulators.pyrobosim.robot import Body
+from simulators.pyrobosim.served import ServedClient
 from simulators.pyrobosim.world import RESOLUTION_M, World
 
 MAX_TIME_S = 1800.0
 """Of the simulation; a task that takes longer has failed."""
-ANSWER_WITHIN_S, END_WITHIN_S = 120.0, 60.0
+ANSWER_WITHIN_S = 120.0
 POSE_M = 0.01
 """A robot that moved less than this since its last pose sends none."""
 
@@ -122,18 +122,18 @@ def run_trial(
     fleet = Fleet(simulated, world.home_map, containers, nav_poses, robots, body)
     team = ", ".join(f"{robot.name}: [{x!r}, {y!r}]" for robot, (x, y) in zip(robots, starts, strict=True))
     spec = trial.team.spec
-    command = [
-        *(sys.executable, "-m", "pipeline.live", f"map={world.map_file}", f"containers={world.containers_file}"),
+    arguments = [
+        *(f"map={world.map_file}", f"containers={world.containers_file}"),
         *(f"task={trial.formula}", f"team={{{team}}}", f"decide_by={planner}", f"seed={trial.seed}"),
         *(f"speed_m_per_s={spec.speed_m_per_s!r}", f"robot_radius_m={body.planned_radius_m!r}"),
         *(f"search_time_s={spec.search_time_s!r}", f"interact_time_s={spec.interact_time_s!r}"),
         *(f"resolution_m={RESOLUTION_M!r}", *options),
     ]
-    client = PipeClient(command, cwd=Path(__file__).resolve().parents[2], clock=lambda: fleet.time_s)
+    client = ServedClient(arguments, clock=lambda: fleet.time_s)
     try:
         return Bridge(client, fleet, simulated, trial).run()
     finally:
-        _end(client)
+        client.end()
 
 
 def _robot(name: str, place: Point, body: Body) -> Robot:
@@ -149,25 +149,10 @@ def _robot(name: str, place: Point, body: Body) -> Robot:
     )
 
 
-def _end(client: PipeClient) -> None:
-    process = client.process
-    if process.stdin is not None:
-        process.stdin.close()
-    try:
-        process.wait(timeout=END_WITHIN_S)
-    except Exception:
-        process.kill()
-        process.wait()
-        raise
-    finally:
-        if process.stdout is not None:
-            process.stdout.close()
-
-
 class Bridge:
     """Turns orders into what pyrobosim's robots do, and what they did into events."""
 
-    def __init__(self, client: PipeClient, fleet: Fleet, simulated: Simulated, trial: Trial) -> None:
+    def __init__(self, client: Client, fleet: Fleet, simulated: Simulated, trial: Trial) -> None:
         self.client, self.fleet, self.simulated, self.trial = client, fleet, simulated, trial
         self.orders: dict[str, Message] = {}
         """Robot -> its order."""

@@ -8,7 +8,8 @@ import pytest
 import shapely
 from matplotlib.colors import to_rgb
 
-from mrtask.analysis.floor_plans import FULL_COLOR, ROOM_COLORS, draw_gallery, draw_home
+from mrtask.analysis.floor_plans import FULL_COLOR, ROOM_COLORS, draw_gallery, draw_home, passages
+from mrtask.homes.home import Door, Home, Room
 from mrtask.maps.home_map import build_map
 
 
@@ -34,6 +35,19 @@ def test_rooms_furniture_and_doors_are_where_they_belong(ax, two_room_home, two_
     assert pixel(ax, 6.5, 0.7) == pytest.approx(to_rgb(FULL_COLOR), abs=0.02)
     wall, door = pixel(ax, 4.0, 1.0), pixel(ax, 4.0, 3.0)
     assert wall.mean() < 0.5 < door.mean()
+
+
+def test_no_wall_is_left_where_an_opening_turns_a_corner(ax):
+    """Two L-shaped rooms that meet along a step."""
+    left = ((0, 0), (2, 0), (2, 2), (3, 2), (3, 4), (0, 4))
+    right = ((2, 0), (5, 0), (5, 4), (3, 4), (3, 2), (2, 2))
+    step = [((2, 0), (2, 2)), ((2, 2), (3, 2)), ((3, 2), (3, 4))]
+    doors = tuple(Door(f"d{number}", ("left", "right"), *ends) for number, ends in enumerate(step))
+    home = Home("steps", (Room("left", "Kitchen", left), Room("right", "Bedroom", right)), doors, (), ())
+    assert passages(home) == [[(2.0, 0.0), (2.0, 2.0), (3.0, 2.0), (3.0, 4.0)]]
+    draw_home(home, None, ax, names=False)
+    for x, y in ((2, 1), (2, 2), (2.5, 2), (3, 2), (3, 3)):
+        assert min(pixel(ax, x + dx, y + dy).mean() for dx in (-0.02, 0, 0.02) for dy in (-0.02, 0, 0.02)) > 0.5
 
 
 def test_names_counts_and_access_cells(ax, two_room_home, two_room_map):

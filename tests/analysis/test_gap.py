@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from mrtask.analysis import exhibits
 from mrtask.analysis.gap import draw_gaps, find_ladder, gap_sentences, gap_table, gaps_of
 from mrtask.analysis.optimality import CellOptimality
 from mrtask.analysis.report import render_report
@@ -120,7 +121,9 @@ def test_the_table_has_the_certified_bound_where_there_is_one():
     assert len(sentences) == 4 and all("more than knowing everything" in one for one in sentences)
 
 
-def test_the_section_is_in_the_report_of_a_run_that_has_the_ladder():
+def test_the_section_is_in_the_report_of_a_run_that_has_the_ladder(monkeypatch):
+    monkeypatch.setattr(exhibits, "svg_bytes", lambda figure: b"")
+    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
     frame = episodes(trials=4)
     assert 'id="gap"' in render_report(frame, MANIFEST | {"true_likelihoods": "counted"}, {}).page
     assert 'id="gap"' not in render_report(frame, {}, {}).page

@@ -5,8 +5,12 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import mlflow
 import pytest
+from hydra._internal.hydra import Hydra
 
+from mrtask.analysis import exhibits, sensitivity
+from pipeline.backends import tracking
 from tests.pipeline.harness import ROOT, SMALL, Cli, Finished, Workspace, run_stage
 
 
@@ -40,11 +44,51 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
     import ray
 
     from pipeline.backends import pool
-    from pipeline.base.config import Cluster
+    from pipeline.base.sections import Cluster
 
     pool._start(Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3))
     yield
     ray.shutdown()
+
+
+@pytest.fixture(autouse=True)
+def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports have all their figures, but these are not drawn, which takes most of a report's time.
+
+    Those of the small experiment are, see `workspace`; which figures there are and how they look, tests of the library
+    know.
+    """
+    for module in (exhibits, sensitivity):
+        monkeypatch.setattr(module, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
+    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
+
+
+@pytest.fixture(autouse=True)
+def _mode_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hydra composes the whole configuration twice, first only to look for `hydra.mode`, which ours never sets."""
+    monkeypatch.setattr(Hydra, "get_mode", lambda self, config_name, overrides: None)
+
+
+@pytest.fixture(scope="session")
+def _empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """MLflow's store as it is when it is new; it makes its tables in some 70 migrations, which takes seconds."""
+    folder = tmp_path_factory.mktemp("store")
+    mlflow.MlflowClient(f"sqlite:///{folder}/mlflow.db").search_experiments()
+    return folder / "mlflow.db"
+
+
+@pytest.fixture(autouse=True)
+def _stores_made_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new store is a copy; those of other processes are made as they come."""
+    opened = tracking.open_tracking
+
+    def open_tracking(uri: str, experiment: str) -> tracking.Tracking:
+        database = Path(uri.removeprefix("sqlite:///"))
+        if uri.startswith("sqlite:///") and database.parent.is_dir() and not database.exists():
+            shutil.copy(request.getfixturevalue("_empty_store"), database)
+        return opened(uri, experiment)
+
+    monkeypatch.setattr(tracking, "open_tracking", open_tracking)
 
 
 @pytest.fixture
@@ -79,3 +123,9 @@ def workspace(ray_session: None, tmp_path_factory: pytest.TempPathFactory) -> Wo
 def copied_output(workspace: Workspace, tmp_path: Path) -> Path:
     """A copy of the finished experiment's folder, to be changed."""
     return Path(shutil.copytree(workspace.output_dir, tmp_path / "copied"))
+
+
+@pytest.fixture
+def _houses_are_there(workspace: Workspace, tmp_path: Path) -> None:
+    """The finished experiment's generated houses in an empty folder, where a stage finds them."""
+    shutil.copytree(workspace.path / "datasets" / "generated", tmp_path / "datasets" / "generated")

@@ -1,4 +1,4 @@
-"""Planners of a user's own, as tests give them by import path: slow, faulty, hanging."""
+"""Planners of a user's own, as tests give them by import path: stopped in the middle, faulty, hanging."""
 
 import os
 import signal
@@ -8,21 +8,67 @@ from pathlib import Path
 from mrtask.planning.myopic import nonlearned_myopic
 from mrtask.planning.problem import Assignment, Plan, PlanningProblem
 
+PACE_S = 0.3
+"""Of episodes at a shut gate: in long batches, finished ones would wait for those that are shut out."""
 
-class Slow:
-    """The non-learned baseline with a pause before each plan."""
 
-    def __init__(self, pause_s: float = 0.0) -> None:
-        self._pause_s = pause_s
+class Baseline:
+    """The non-learned baseline under another name."""
+
+    def __init__(self) -> None:
         self._rule = nonlearned_myopic()
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """The baseline's plan, later."""
-        time.sleep(self._pause_s)
+        """The baseline's plan."""
         return self._rule.plan(problem, seed)
 
 
-class Faulty(Slow):
+class Gate:
+    """What episodes of `Gated` wait at, so that a test finds a run in the middle however fast the machine is."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(exist_ok=True)
+
+    def shut_after(self, episodes: int) -> None:
+        """From now on so many more may pass."""
+        (self.folder / "come").write_bytes(b"")
+        (self.folder / "passing").write_text(str(episodes))
+
+    def open(self) -> None:
+        """All may pass."""
+        (self.folder / "passing").unlink(missing_ok=True)
+
+
+class Gated(Baseline):
+    """Waits at a `Gate` before the first plan of each episode."""
+
+    def __init__(self, gate: str) -> None:
+        super().__init__()
+        self._gate = Path(gate)
+        self._passed = False
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """The baseline's plan, when the gate lets it pass."""
+        if not self._passed:
+            self._passed = True
+            if (self._gate / "passing").exists():
+                time.sleep(PACE_S)
+            with (self._gate / "come").open("a") as file:
+                file.write("x")
+                number = file.tell()
+            while (passing := self._passing()) is not None and number > passing:
+                time.sleep(0.02)
+        return super().plan(problem, seed)
+
+    def _passing(self) -> int | None:
+        try:
+            return int((self._gate / "passing").read_text() or 0)
+        except FileNotFoundError:
+            return None
+
+
+class Faulty(Baseline):
     """Raises in every episode with two robots."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
@@ -32,7 +78,7 @@ class Faulty(Slow):
         return super().plan(problem, seed)
 
 
-class Hanging(Slow):
+class Hanging(Baseline):
     """Never answers a team of two."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
@@ -42,7 +88,7 @@ class Hanging(Slow):
         return super().plan(problem, seed)
 
 
-class Deadly(Slow):
+class Deadly(Baseline):
     """Kills its worker the first time that it plans at all; ``marker`` remembers."""
 
     def __init__(self, marker: str) -> None:

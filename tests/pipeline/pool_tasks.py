@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.homes import _generate_one
+from pipeline.store.worker import generate_numbered
 
 
 def square(item: int) -> int:
@@ -65,7 +65,7 @@ def identity_of_shared(item: int, shared: np.ndarray) -> tuple[int, int]:
 
 def house_rooms(item: int, seed: int) -> list[str]:
     """The rooms of a generated house: something with randomness."""
-    return [room["roomType"] for room in _generate_one(item, seed)["rooms"]]
+    return [room["roomType"] for room in generate_numbered(item, seed)["rooms"]]
 
 
 def _count(folder: Path, item: int) -> int:

@@ -12,13 +12,15 @@ import ray
 from ray.cluster_utils import Cluster
 
 from tests.pipeline.harness import run_stage
+from tests.pipeline.own_planners import Gate
 
 NOTICED_WITHIN_S = 60
 
 
-def main(workspace: Path, *overrides: str) -> None:
+def main(workspace: Path, gate: Gate, *overrides: str) -> None:
     """Prints as JSON how many nodes there were before and after, and how many rows when one was lost."""
     os.chdir(workspace)
+    gate.shut_after(6)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     doomed, _ = (cluster.add_node(num_cpus=1) for _ in range(2))
     cluster.wait_for_nodes()
@@ -32,6 +34,7 @@ def main(workspace: Path, *overrides: str) -> None:
         said["nodes_before"] = sum(node["Alive"] for node in ray.nodes())
         cluster.remove_node(doomed, allow_graceful=False)
         said["rows_before"] = len(pd.read_parquet(target, columns=["trial_id"]))
+        gate.open()
 
     saboteur = threading.Thread(target=lose_a_node, daemon=True)
     saboteur.start()
@@ -46,4 +49,4 @@ def main(workspace: Path, *overrides: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    main(Path(sys.argv[1]), Gate(Path(sys.argv[2])), *sys.argv[3:])

@@ -11,7 +11,8 @@ from mrtask.analysis.ablation import COMPARED
 from pipeline.ablation import AUTHORS, PAPER, WHAT, protocols
 from pipeline.app.main import CONF_DIR
 from pipeline.arms import SharedRun, lay_out
-from pipeline.base.config import Arm, Config, UserError, load
+from pipeline.base.config import Config, UserError, load
+from pipeline.base.studies import Arm
 from tests.pipeline.harness import Cli, Workspace
 
 PATIENT = "planner.nonlearned_myopic.return_to_known=when_complete"
@@ -78,6 +79,15 @@ def test_arms_can_differ_in_what_planners_are_given() -> None:
     configured = shared.configured()
     assert configured.likelihood.noise_sd == 0
     assert [configured.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
+
+
+def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
+    poor = ("perception.true_positive_prob=0.7",)
+    arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
+    sees_all, misses = lay_out(make(), arms, ("pouct",), "test")
+    assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
+    assert misses.configured().perception.true_positive_prob == 0.7
+    assert misses.configured().output_dir != sees_all.configured().output_dir
 
 
 def test_all_switches_together_are_the_preset_authors() -> None:

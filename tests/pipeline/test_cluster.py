@@ -3,22 +3,21 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.test_stages import episodes
 
-PLANNERS = (
-    "evaluation.planners=[pouct,tests.pipeline.own_planners.Slow]",
-    "+planner.Slow.pause_s=0.1",
-)
+PLANNERS = "evaluation.planners=[pouct,tests.pipeline.own_planners.Gated]"
 
 
-def test_rows_do_not_depend_on_the_cluster_nor_on_a_lost_node(workspace: Workspace, cli: Cli) -> None:
-    overrides = [*workspace.overrides, *PLANNERS]
+def test_rows_do_not_depend_on_the_cluster_nor_on_a_lost_node(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    overrides = [*workspace.overrides, PLANNERS, f"+planner.Gated.gate={gate}"]
     # Another process: one Ray session is all that this one can be part of.
-    command = [sys.executable, "-m", "tests.pipeline.run_on_cluster", str(workspace.path), *overrides]
+    command = [sys.executable, "-m", "tests.pipeline.run_on_cluster", str(workspace.path), str(gate), *overrides]
     done = subprocess.run(command, cwd=workspace.path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout.splitlines()[-1])

@@ -13,7 +13,8 @@ import pytest
 from mrtask.homes.download import HOUSEKEEP, SPLITS_FILE, VOTES_FILE, RemoteFile
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.votes import VotesError
-from pipeline.base.config import Contents, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Contents
 from pipeline.store import voted_contents as module
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.voted_contents import voted_contents
@@ -103,6 +104,7 @@ def test_the_split_is_that_of_the_homes_as_they_come(cli: Cli, tmp_path: Path) -
             assert {new_layouts[home_id] for home_id in getattr(manifest.split, part)} == expected
 
 
+@pytest.mark.usefixtures("_houses_are_there")
 def test_planners_are_evaluated_in_homes_with_peoples_contents(cli: Cli, tmp_path: Path) -> None:
     """In a folder of its own: another model in the shared workspace would become its champion."""
     write(tmp_path / "votes.npy")

@@ -6,16 +6,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import mlflow
 import pandas as pd
 import psutil
 import pytest
+import ray
 
 from pipeline.backends import tracking
 from pipeline.store import rows as results
 from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline.own_planners import Gate
 from tests.pipeline.test_stages import episodes
 
 OWN = "tests.pipeline.own_planners"
@@ -111,41 +114,55 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(
     assert (after["planning_s"] == after["planning_s_before"]).all() and len(after) == 5
 
 
-@pytest.mark.parametrize(("how", "after_rows"), [(signal.SIGINT, 3), (signal.SIGKILL, 2), (signal.SIGKILL, 13)])
-def test_a_driver_stopped_in_the_middle_goes_on(
-    how: signal.Signals, after_rows: int, workspace: Workspace, cli: Cli
-) -> None:
-    common = [
-        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Slow]", "+planner.Slow.pause_s=0.25",
-    ]  # fmt: skip
-    name = f"stopped-{how.name}-{after_rows}"
-    target = workspace.path / "outputs" / name
-    command = [sys.executable, "-m", "pipeline.evaluate", *common, f"output_dir=outputs/{name}"]
-    with (workspace.path / f"{name}.err").open("w") as said_to:
-        driver = subprocess.Popen(command, cwd=workspace.path, stdout=subprocess.DEVNULL, stderr=said_to)
-    wait_for_rows(driver, target, after_rows)
-    children = [child for child in psutil.Process(driver.pid).children(recursive=True) if is_worker(child)]
-    assert children
-    driver.send_signal(how)
-    assert driver.wait(timeout=60) == (130 if how == signal.SIGINT else -how)
-    before = pd.read_parquet(target / "episodes")
-    assert after_rows <= len(before) < 24
-    if how == signal.SIGINT:
-        said = (workspace.path / f"{name}.err").read_text()
-        assert "interrupted; the same command continues from here" in said and "Traceback" not in said
-    _, alive = psutil.wait_procs(children, timeout=20)
-    assert not alive, f"left running: {alive}"
-    resumed = cli("evaluate", *common, f"output_dir=outputs/{name}", cwd=workspace.path)
+def test_a_driver_stopped_again_and_again_goes_on(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
+    gate = Gate(tmp_path / "gate")
+    planners = f"evaluation.planners=[nonlearned_myopic,{OWN}.Gated]"
+    common = [*workspace.overrides, planners, f"+planner.Gated.gate={gate.folder}"]
+    target, seen = workspace.path / "outputs" / "stopped", [pd.DataFrame({"planner": []})]
+    shared, own = f"cluster.address={ray.get_runtime_context().gcs_address}", "cluster.address=local"
+    stops = ((signal.SIGKILL, shared, 2, 2), (signal.SIGINT, own, 5, 3), (signal.SIGKILL, own, 10, 13))
+    for how, cluster, passing, rows_there in stops:
+        gate.shut_after(passing - (seen[-1]["planner"] == f"{OWN}.Gated").sum())
+        overrides, wanted = [*common, cluster, "output_dir=outputs/stopped"], max(rows_there, len(seen[-1]) + 1)
+        seen.append(rows_until_stopped(how, overrides, workspace.path, target, wanted, leaves=cluster == shared))
+    assert len(seen[1]) < 12 < len(seen[-1]) < 24, "early and late"
+    gate.open()
+    resumed = cli("evaluate", *common, "output_dir=outputs/stopped", cwd=workspace.path)
     assert resumed.code == 0, resumed.err
     assert cli("evaluate", *common, "output_dir=outputs/undisturbed", cwd=workspace.path).code == 0
+    pd.testing.assert_frame_equal(episodes(target), episodes(workspace.path / "outputs" / "undisturbed"))
+    rows = pd.read_parquet(target / "episodes")
+    for before in seen[1:]:
+        finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
+        assert len(finished) == len(before)
+        assert (finished["planning_s"] == finished["planning_s_before"]).all(), "a finished row was run again"
     store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
     runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
-    assert sorted(run.info.status for run in runs) == ["FINISHED", "KILLED"]
-    rows = pd.read_parquet(target / "episodes")
-    pd.testing.assert_frame_equal(episodes(target), episodes(workspace.path / "outputs" / "undisturbed"))
-    finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
-    assert len(finished) == len(before)
-    assert (finished["planning_s"] == finished["planning_s_before"]).all(), "a finished row was run again"
+    assert sorted(run.info.status for run in runs) == ["FINISHED", *["KILLED"] * 3]
+
+
+def rows_until_stopped(
+    how: signal.Signals, overrides: Sequence[str], folder: Path, target: Path, rows: int, leaves: bool
+) -> pd.DataFrame:
+    """Stops a driver when it has written so many rows or more; what is there then.
+
+    Nothing of it is running then, unless it ``leaves`` its workers to the cluster that they belong to.
+    """
+    command = [sys.executable, "-m", "pipeline.evaluate", *overrides]
+    said = target.with_suffix(".err")
+    with said.open("w") as said_to:
+        driver = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=said_to)
+    wait_for_rows(driver, target, rows)
+    children = [child for child in psutil.Process(driver.pid).children(recursive=True) if is_worker(child)]
+    assert leaves != bool(children)
+    driver.send_signal(how)
+    assert driver.wait(timeout=60) == (130 if how == signal.SIGINT else -how)
+    if how == signal.SIGINT:
+        text = said.read_text()
+        assert "interrupted; the same command continues from here" in text and "Traceback" not in text
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive, f"left running: {alive}"
+    return pd.read_parquet(target / "episodes")
 
 
 def is_worker(process: psutil.Process) -> bool:
@@ -155,7 +172,7 @@ def is_worker(process: psutil.Process) -> bool:
 
 def wait_for_rows(driver: subprocess.Popen[bytes], target: Path, count: int) -> None:
     """Until the driver has written so many rows."""
-    end_s = time.monotonic() + 120
+    end_s = time.monotonic() + 300
     while time.monotonic() < end_s and driver.poll() is None:
         parts = list((target / "episodes").glob("part-*.parquet"))
         try:

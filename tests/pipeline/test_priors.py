@@ -12,6 +12,7 @@ CONTENTS = ("contents.file=votes.npy", "contents.sha256=null")
 PRIORS = ("priors.contents=[housekeep]", "priors.trained_on=[procthor]", "priors.others=[truth]")
 
 
+@pytest.mark.usefixtures("_houses_are_there")
 def test_every_prior_runs_the_same_trials_and_one_page_compares_them(cli: Cli, tmp_path: Path) -> None:
     """In a folder of its own: other models in the shared workspace would become its champion."""
     write(tmp_path / "votes.npy")

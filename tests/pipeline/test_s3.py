@@ -14,6 +14,7 @@ from pathlib import Path
 import fsspec
 import pandas as pd
 import pytest
+import ray
 import s3fs
 from moto.server import ThreadedMotoServer
 
@@ -21,6 +22,7 @@ from pipeline.base.config import UserError
 from pipeline.store import folder as storage
 from pipeline.store.folder import Folder
 from tests.pipeline.harness import Cli, Workspace
+from tests.pipeline.own_planners import Gate
 from tests.pipeline.test_stages import TIMINGS, episodes
 
 OWN = "tests.pipeline.own_planners"
@@ -55,12 +57,17 @@ def rows_in(store: s3fs.S3FileSystem, pattern: str) -> pd.DataFrame:
     return pd.concat(frames) if frames else pd.DataFrame({"trial_id": [], "planner": []})
 
 
-def test_a_run_in_a_bucket_is_killed_and_goes_on(workspace: Workspace, cli: Cli, bucket: s3fs.S3FileSystem) -> None:
+def test_a_run_in_a_bucket_is_killed_and_goes_on(
+    workspace: Workspace, cli: Cli, bucket: s3fs.S3FileSystem, tmp_path: Path
+) -> None:
+    gate = Gate(tmp_path / "gate")
+    gate.shut_after(5)
     overrides = [
-        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Slow]", "+planner.Slow.pause_s=0.25",
-        f"output_dir={RUN}",
+        *workspace.overrides, f"evaluation.planners=[nonlearned_myopic,{OWN}.Gated]",
+        f"+planner.Gated.gate={gate.folder}", f"output_dir={RUN}",
     ]  # fmt: skip
-    command = [sys.executable, "-m", "pipeline.evaluate", *overrides]
+    cluster = f"cluster.address={ray.get_runtime_context().gcs_address}"
+    command = [sys.executable, "-m", "pipeline.evaluate", *overrides, cluster]
     driver = subprocess.Popen(command, cwd=workspace.path, stdout=subprocess.DEVNULL, env=os.environ)
     end_s = time.monotonic() + 120
     while not (before := len(rows_in(bucket, "results/run/episodes/part-*.parquet"))) and time.monotonic() < end_s:
@@ -71,15 +78,16 @@ def test_a_run_in_a_bucket_is_killed_and_goes_on(workspace: Workspace, cli: Cli,
     driver.send_signal(signal.SIGKILL)
     assert driver.wait(timeout=60) == -signal.SIGKILL
     assert 0 < before < 24
+    gate.open()
     resumed = cli("evaluate", *overrides, cwd=workspace.path)
     assert resumed.code == 0, resumed.err
     assert f"{RUN}/episodes" in resumed.out and "episodes are there already" in resumed.out
     assert cli("report", *workspace.overrides, f"output_dir={RUN}", cwd=workspace.path).code == 0
-    assert b"Slow" in bucket.cat_file("results/run/report/index.html")
+    assert b"Gated" in bucket.cat_file("results/run/report/index.html")
     found = rows_in(bucket, "results/run/episodes/*.parquet")
     undisturbed = episodes(workspace.output_dir)
     undisturbed = undisturbed[undisturbed["planner"] == "nonlearned_myopic"]
-    for planner in ("nonlearned_myopic", f"{OWN}.Slow"):
+    for planner in ("nonlearned_myopic", f"{OWN}.Gated"):
         rows = found[found["planner"] == planner].drop(columns=TIMINGS).sort_values("trial_id")
         ignored = ["planner", "config_hash", "attempt"]
         pd.testing.assert_frame_equal(

@@ -34,7 +34,7 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
     assert "planner.pouct.samples=5" in page and "planner.pouct.samples=10" in page
     store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
     client = mlflow.MlflowClient()
-    [parent] = client.search_runs([store.experiment_id], "tags.stage = 'sweep'")
+    [parent] = client.search_runs([store.experiment_id], f"tags.stage = 'sweep' and tags.output_dir = '{target}'")
     assert parent.info.status == "FINISHED"
     assert client.list_artifacts(parent.info.run_id, "report")
     of_parent = f"tags.mlflow.parentRunId = '{parent.info.run_id}'"

@@ -11,7 +11,8 @@ import pytest
 
 from pipeline.backends import pool as pool_module
 from pipeline.backends.pool import Outcome, Pool
-from pipeline.base.config import Cluster, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Cluster
 from tests.pipeline import pool_tasks as tasks
 
 LOCAL = Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3)

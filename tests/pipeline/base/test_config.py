@@ -14,7 +14,8 @@ from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline import train
 from pipeline.app.main import CONF_DIR
-from pipeline.base.config import Config, ModelKind, UserError, content_hash, load
+from pipeline.base.config import Config, UserError, content_hash, load
+from pipeline.base.sections import ModelKind
 
 
 @pytest.fixture(autouse=True)
@@ -109,11 +110,11 @@ def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: l
 
 
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
-    planners = "evaluation.planners=[tests.pipeline.own_planners.Slow]"
-    config = make(planners, "+planner.Slow.pause_s=0.5")
-    assert config.planner_options("tests.pipeline.own_planners.Slow") == {"pause_s": 0.5}
-    with pytest.raises(UserError, match=r"own_planners\.Slow.*nap_s"):
-        make(planners, "+planner.Slow.nap_s=0.5")
+    planners = "evaluation.planners=[tests.pipeline.own_planners.Gated]"
+    config = make(planners, "+planner.Gated.gate=there")
+    assert config.planner_options("tests.pipeline.own_planners.Gated") == {"gate": "there"}
+    with pytest.raises(UserError, match=r"own_planners\.Gated.*door"):
+        make(planners, "+planner.Gated.door=there")
 
 
 def test_model_kinds_and_training_options_fit_the_library() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.backends.pool import Pool
 from pipeline.base import interrupt
-from pipeline.base.config import Cluster
+from pipeline.base.sections import Cluster
 from tests.pipeline import pool_tasks as tasks
 
 

@@ -10,7 +10,8 @@ import pytest
 from mrtask.homes.catalogue import AssetDatabase
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.split import split_homes
-from pipeline.base.config import EvaluationHomes, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import EvaluationHomes
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.home_set import HomeSet
 from pipeline.store.records import HomesManifest

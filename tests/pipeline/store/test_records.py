@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.base.config import Map, UserError
+from pipeline.base.config import UserError
+from pipeline.base.sections import Map
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles, MapFiles
 from pipeline.store.records import (

@@ -1,0 +1,296 @@
+"""The configuration's sections that say what is run: homes, maps, models, planners, trials, and where it all runs.
+
+The schema as a whole is `pipeline.base.config`.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from mrtask.execution import perception
+from mrtask.tasks.templates import TEMPLATES
+from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed
+
+SizeClass = Literal["small", "medium", "large"]
+HomeContents = Literal["procthor", "housekeep"]
+
+
+class _Homes(Section):
+    contents: HomeContents
+    seed: int = Field(ge=0)
+    train: Positive
+    validation: Positive
+
+
+class GeneratedHomes(_Homes):
+    """Homes of the procedural generator."""
+
+    source: Literal["generated"]
+    test: Positive
+
+    @property
+    def total(self) -> int:
+        """How many homes are generated."""
+        return self.train + self.validation + self.test
+
+
+class ProcthorHomes(_Homes):
+    """The user's own house files in ProcTHOR's schema."""
+
+    source: Literal["procthor"]
+    test: Positive | None
+    files: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
+    assets: LocalPath | None
+    skip_faulty: bool
+
+
+class Procthor10kHomes(_Homes):
+    """ProcTHOR-10K, downloaded once."""
+
+    source: Literal["procthor10k"]
+    test: Positive | None
+    skip_faulty: bool
+
+
+class RosMapHomes(_Homes):
+    """The user's own scanned floors to evaluate on; the model learns from generated homes."""
+
+    source: Literal["ros_map"]
+    test: Positive
+    map: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), Field(min_length=1)]
+    containers: Annotated[tuple[LocalPath, ...], BeforeValidator(listed)]
+    worlds: Positive
+
+    @model_validator(mode="after")
+    def _one_file_of_containers_each(self) -> Self:
+        if len(self.containers) != len(self.map):
+            raise ValueError(
+                f"homes.map lists {len(self.map)} and homes.containers {len(self.containers)}; give one for each map"
+            )
+        return self
+
+    def to_learn_from(self) -> GeneratedHomes:
+        """The generated homes that the model learns from."""
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
+        return GeneratedHomes(source="generated", **shared)
+
+
+HousesInFiles = ProcthorHomes | Procthor10kHomes
+Homes = GeneratedHomes | HousesInFiles | RosMapHomes
+HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
+
+
+class Contents(Section):
+    """How contents are drawn with ``homes.contents=housekeep``."""
+
+    file: LocalPath | None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    objects: Literal["all", "train", "val", "test"]
+    splits: LocalPath | None
+    table: LocalPath | None
+    misplaced: float = Field(ge=0, le=1)
+    seed: int = Field(ge=0)
+    embedding: str = Field(min_length=1)
+
+
+class Map(Section):
+    """The occupancy grid."""
+
+    resolution_m: float = Field(gt=0, le=1)
+    robot_radius_m: float = Field(ge=0, le=2)
+    ways: Literal["shortest", "soft"]
+
+
+ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
+
+
+class Similarity(Section):
+    """Counts of the training homes, shared among similar names."""
+
+    kind: Literal["similarity"]
+    embedding: str = Field(min_length=1)
+    smoothing: Annotated[float, Field(gt=0)] | None
+
+
+class Network(Section):
+    """A network on the embeddings of names."""
+
+    kind: Literal["paper_fcnn", "mlp"]
+    embedding: str = Field(min_length=1)
+    layers: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    dropout: float = Field(ge=0, lt=1)
+
+
+class Logistic(Section):
+    """Logistic regression on the embeddings of names."""
+
+    kind: Literal["logistic"]
+    embedding: str = Field(min_length=1)
+    regularisation: float = Field(gt=0)
+
+
+class Frequency(Section):
+    """The table of counts."""
+
+    kind: Literal["frequency"]
+    smoothing: Annotated[float, Field(gt=0)] | None
+
+
+Model = Annotated[Similarity | Network | Logistic | Frequency, Field(discriminator="kind")]
+"""Which likelihood model, with the options of its kind."""
+
+
+class Trainer(Section):
+    """How the networks are trained."""
+
+    learning_rate: float = Field(gt=0)
+    scale_learning_rate: float = Field(gt=0)
+    weight_decay: float = Field(ge=0)
+    batch_size: int = Field(ge=2)
+    max_epochs: Positive
+    patience: Positive
+    device: Literal["auto", "cpu", "cuda", "mps"]
+    threads: int = Field(ge=0)
+    checkpoint_every: Positive
+
+
+class EvaluationHomes(Section):
+    """Homes to evaluate on instead of the test homes; empty for those."""
+
+    files: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), AfterValidator(distinct)]
+    assets: LocalPath | None
+    skip_faulty: bool
+    order: Literal["shuffled", "file"]
+
+
+class Belief(Section):
+    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+
+    adapt: bool
+    kind_sd: float = Field(ge=0)
+    object_sd: float = Field(ge=0)
+    forget: Share
+
+
+_Source = Literal["model", "truth"]
+_Spread = Annotated[float, Field(ge=0)]
+
+
+class Likelihood(Section):
+    """Which likelihoods planners are given, and how wrong on purpose, see `mrtask.likelihood.given`."""
+
+    source: _Source
+    uniform_mix: Share
+    noise_sd: _Spread
+
+
+class Rates(Section):
+    """How likely a search detects an object that is there, and one that is not."""
+
+    true_positive_prob: Share
+    false_positive_prob: Share
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        self.rates()
+        return self
+
+    def rates(self) -> perception.Rates:
+        """The same for the library; raises ValueError where a detection would say nothing."""
+        return perception.Rates(self.true_positive_prob, self.false_positive_prob)
+
+
+class Perception(Rates):
+    """How well robots see, and the types of objects that they see otherwise."""
+
+    objects: dict[str, Rates]
+
+    def perception(self) -> perception.Perception:
+        """The same for the library."""
+        return perception.Perception(self.rates(), {name: one.rates() for name, one in self.objects.items()})
+
+
+class Evaluation(Section):
+    """Which trials are run, by which planners, with which model."""
+
+    planners: Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
+    size_classes: Annotated[
+        tuple[SizeClass, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)
+    ]
+    robots: Annotated[tuple[Positive, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
+    trials_per_cell: Positive
+    tasks_per_home: Positive
+    templates: Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
+    formula: str | None
+    formula_file: LocalPath | None
+    task: Annotated[str, Field(min_length=1)] | None
+    speed_m_per_s: float = Field(gt=0)
+    search_time_s: float = Field(ge=0)
+    interact_time_s: float = Field(ge=0)
+    unsearched_share: tuple[Share, Share]
+    cost: Literal["makespan", "least_motion"]
+    homes: EvaluationHomes
+    model_uri: str = Field(pattern="^(models|runs):/")
+    episode_timeout_s: float = Field(gt=0)
+    max_failed_fraction: float = Field(ge=0, le=1)
+    rerun: Annotated[tuple[Literal["error", "timeout", "failed"], ...], BeforeValidator(listed)]
+
+    @field_validator("templates")
+    @classmethod
+    def _known_templates(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in names if name not in TEMPLATES]
+        if unknown:
+            raise ValueError(f"unknown template {', '.join(unknown)}; allowed: {', '.join(TEMPLATES)}")
+        return names
+
+    @model_validator(mode="after")
+    def _one_task(self) -> Self:
+        if self.task is not None and self.formula is not None:
+            raise ValueError("evaluation.task: give it or a formula, not both")
+        return self
+
+    @field_validator("unsearched_share")
+    @classmethod
+    def _least_first(cls, share: tuple[float, float]) -> tuple[float, float]:
+        if share[0] > share[1]:
+            raise ValueError("give the least share first, the greatest second")
+        return share
+
+
+class OtherLikelihood(Section):
+    """What a planner variant is given that other planners are not; null: the same."""
+
+    source: _Source | None = None
+    uniform_mix: Share | None = None
+    noise_sd: _Spread | None = None
+
+
+class PlannerVariant(Section):
+    """A planner under another name: with other options or likelihoods, beside itself on the same trials."""
+
+    planner: str = Field(min_length=1)
+    options: dict[str, Any] = Field(default_factory=dict)
+    likelihood: OtherLikelihood = OtherLikelihood()
+
+
+class Cluster(Section):
+    """Where Ray runs and how much of it a run may take."""
+
+    address: str = Field(pattern=r"^(local|auto|ray://.+|[^:/]+:\d+)$")
+    cpus: Positive | None
+    memory_per_task_gb: float = Field(gt=0)
+    retries: int = Field(ge=0)
+
+
+class Tracking(Section):
+    """Where MLflow keeps runs and models."""
+
+    uri: str = Field(min_length=1)
+    experiment_name: str = Field(min_length=1)
+
+    @field_validator("uri")
+    @classmethod
+    def _absolute_sqlite(cls, uri: str) -> str:
+        scheme = "sqlite:///"
+        return scheme + str(absolute(Path(uri.removeprefix(scheme)))) if uri.startswith(scheme) else uri

@@ -1,0 +1,44 @@
+"""What a key of the configuration may be: the kinds of values that its sections share.
+
+Relative paths are relative to the caller's folder.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+Positive = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+def absolute(path: Path) -> Path:
+    """A path of this machine, from its root."""
+    return Path(path).expanduser().absolute()
+
+
+def _absolute_unless_url(location: str) -> str:
+    return location if "://" in location else str(absolute(Path(location)))
+
+
+def listed(value: object) -> object:
+    """One text or number as a list of one, as typed on the command line."""
+    return [value] if isinstance(value, str | int) else value
+
+
+def distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The values; raises ValueError where one is given twice."""
+    if len(set(values)) != len(values):
+        raise ValueError(f"each may be given once, got {', '.join(map(str, values))}")
+    return values
+
+
+LocalPath = Annotated[Path, AfterValidator(absolute)]
+Location = Annotated[str, Field(min_length=1), AfterValidator(_absolute_unless_url)]
+"""A local path, made absolute, or an fsspec URL."""
+
+
+class Section(BaseModel):
+    """Keys that belong together; others are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())

@@ -1,0 +1,46 @@
+"""What workers do for `pipeline.optimality` and `pipeline.priors`.
+
+Apart from `pipeline.episodes.worker`, since these need libraries that an evaluation's workers do without: seconds of
+their start and memory of each.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mrtask.analysis.bounds.assess import assess
+from mrtask.analysis.calibration import Task, beliefs_of
+from mrtask.likelihood.adapt import Sighting
+from pipeline.episodes.worker import Context, EpisodeKey, bench_of, likelihood_given
+
+
+def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
+    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    bench = bench_of(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
+
+
+@dataclass(frozen=True)
+class HomeTasks:
+    """A planner's tasks in one home, in order."""
+
+    planner: str
+    home_id: str
+    tasks: tuple[Task, ...]
+
+
+def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
+    """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
+    home = bench_of(context).homes[done.home_id]
+
+    def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
+        return likelihood_given(home, task.objects, task.seed, done.planner, context, number, seen)
+
+    return beliefs_of(home, done.tasks, believe)
