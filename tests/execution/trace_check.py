@@ -32,7 +32,7 @@ def check_trace(trial, home, home_map, result, *, known=False):
         for container, cell in zip(home.containers, home_map.access, strict=True)
     }
     contents = {container.id: container.objects for container in home.containers}
-    free_cells = cKDTree([home_map.cell_center(tuple(cell)) for cell in np.argwhere(home_map.free)])
+    free_cells = cKDTree(np.transpose(home_map.cell_center(np.nonzero(home_map.free))))
     assert len(trace.robots) == trial.team.robots
     assert dist(trace.start, home_map.cell_center(trial.start_cell)) < TOLERANCE
     ends = [leg.t1_s for legs in trace.robots for leg in legs]
@@ -81,12 +81,8 @@ def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
             short_s = trial.team.spec.search_time_s - (leg.t1_s - leg.t0_s)
             cut_off = short_s > 0 and abs(leg.t1_s - end_s) < TOLERANCE
             assert cut_off or abs(short_s) < TOLERANCE, "a search of another length"
-        points = [
-            np.array(p) + share * (np.array(q) - np.array(p))
-            for p, q in pairwise(leg.path)
-            for share in np.linspace(0, 1, 2 + int(dist(p, q) / (resolution_m / 3)))
-        ]
+        points = [np.linspace(p, q, 2 + int(dist(p, q) / (resolution_m / 3))) for p, q in pairwise(leg.path)]
         if points:
-            off_m, _ = free_cells.query(points)
+            off_m, _ = free_cells.query(np.concatenate(points))
             assert off_m.max() <= resolution_m * np.sqrt(0.5) + TOLERANCE, "off the free cells"
         clock, place = leg.t1_s, leg.path[-1]
