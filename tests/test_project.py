@@ -54,6 +54,11 @@ def test_every_dependency_is_pinned_to_one_version_of_no_special_build() -> None
     assert PINS["torch"] == "2.13.0"
 
 
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="needs several processes that share the tests")
+def test_processes_share_the_tests_by_group(request: pytest.FixtureRequest) -> None:
+    assert request.node.nodeid.endswith(f"@{Path(__file__).relative_to(ROOT)}")
+
+
 def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
     return run(str(Path(sys.executable).with_name("lint-imports")), "--no-cache", cwd=folder, PYTHONPATH=str(folder))
 

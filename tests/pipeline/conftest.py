@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mlflow
@@ -51,16 +52,23 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
     ray.shutdown()
 
 
-@pytest.fixture(autouse=True)
-def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def _no_pictures() -> Iterator[None]:
     """Reports have all their figures, but these are not drawn, which takes most of a report's time.
 
-    Those of the small experiment are, see `workspace`; which figures there are and how they look, tests of the library
-    know.
+    Which figures there are and how they look, tests of the library know; tests of the wheel have them drawn.
     """
-    for module in (exhibits, sensitivity):
-        monkeypatch.setattr(module, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
-    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (exhibits, sensitivity):
+            patch.setattr(module, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
+        patch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _tests_draw_nothing() -> Iterator[None]:
+    with _no_pictures():
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -112,7 +120,8 @@ def workspace(ray_session: None, tmp_path_factory: pytest.TempPathFactory) -> Wo
     before = Path.cwd()
     os.chdir(path)
     try:
-        code = run_stage("reproduce", *SMALL)
+        with _no_pictures():
+            code = run_stage("reproduce", *SMALL)
     finally:
         os.chdir(before)
     assert code == 0
