@@ -96,7 +96,7 @@ def test_stages_run_from_it(site: Path, tmp_path: Path) -> None:
     assert list((tmp_path / "out" / "episodes").glob("*.parquet"))
     for kind, start in (("pdf", b"%PDF-"), ("svg", b"<?xml")):
         pictures = [path.read_bytes() for path in (tmp_path / "out" / "report" / "figures").glob(f"*.{kind}")]
-        assert len(pictures) > 5 and all(one.startswith(start) and len(one) > 3000 for one in pictures)
+        assert len(pictures) > 2 and all(one.startswith(start) and len(one) > 3000 for one in pictures)
 
 
 def test_the_command_has_every_stage() -> None:

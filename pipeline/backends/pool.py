@@ -183,8 +183,11 @@ class Pool:
                         else:
                             yield settled
         finally:
-            for reference in in_flight:
-                ray.cancel(reference, force=True)
+            # A Ray of our own ends with the process, and may abort it (seen: exit 1, "Tried to complete task that was not
+            # pending") where the answer of a task comes that was just cancelled.
+            if not (self._owns_ray and interrupt.requested()):
+                for reference in in_flight:
+                    ray.cancel(reference, force=True)
 
     def _settle(self, batch: _Batch[Item], reference: Any, pace: _Pace) -> Iterator[Outcome[Item, Value] | _Try[Item]]:
         """The outcomes of a batch, and what of it is to run again."""

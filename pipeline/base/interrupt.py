@@ -36,8 +36,13 @@ def remembered() -> Iterator[None]:
 
 def check() -> None:
     """Raises `KeyboardInterrupt` if there was one."""
-    if _requested:
+    if requested():
         raise KeyboardInterrupt
+
+
+def requested() -> bool:
+    """Whether there was one."""
+    return _requested
 
 
 def _handle(number: int, frame: FrameType | None) -> None:
