@@ -183,8 +183,8 @@ class Pool:
                         else:
                             yield settled
         finally:
-            # A Ray of our own ends with the process, and may abort it (seen: exit 1, "Tried to complete task that was not
-            # pending") where the answer of a task comes that was just cancelled.
+            # A Ray of our own ends with the process, which it may abort where the answer of a task comes that was just
+            # cancelled (seen: exit code 1, "Tried to complete task that was not pending").
             if not (self._owns_ray and interrupt.requested()):
                 for reference in in_flight:
                     ray.cancel(reference, force=True)
