@@ -5,7 +5,8 @@ RUN apt-get update && apt-get install --yes --no-install-recommends make && rm -
 
 # The CPU's torch: PyPI's own wheel for Linux brings gigabytes of CUDA libraries along.
 ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
-    PIP_NO_CACHE_DIR=1
+    PIP_NO_CACHE_DIR=1 \
+    UV_NO_CACHE=1
 
 WORKDIR /mrtask
 

@@ -11,7 +11,13 @@ BIN := $(VENV)/bin
 # Written last: an interrupted installation leaves it out and the next `make` installs again.
 STAMP := $(VENV)/.installed
 LOG := $(VENV)/install.log
-PIP_INSTALL := $(BIN)/python -m pip install --constraint constraints.txt $(PIP_OPTIONS)
+PIP := $(BIN)/python -m pip
+EVERYTHING := --constraint constraints.txt --editable '.[dev,pipeline,ros,s3,sim]'
+# uv takes a fifth of the time that pip takes. It looks where pip is told to look; where it finds no way, pip may.
+told = "$${PIP_$(1):-$$($(PIP) config get global.$(2) 2>/dev/null)}"
+UV := UV_INDEX_URL=$(call told,INDEX_URL,index-url) UV_EXTRA_INDEX_URL=$(call told,EXTRA_INDEX_URL,extra-index-url) \
+	UV_FIND_LINKS=$(call told,FIND_LINKS,find-links) UV_INDEX_STRATEGY=unsafe-best-match \
+	$(BIN)/python -m uv pip install --python $(BIN)/python
 
 .DEFAULT_GOAL := help
 .PHONY: help install doctor reproduce test lint bench docs dashboard clean-cache
@@ -26,11 +32,11 @@ $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
 		echo "error: mrtask needs Python 3.11 or newer; found: $$("$(PYTHON)" --version 2>&1 | head -n 1 || echo none)." \
 		"Install one and say where: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; exit 1; }
-	@echo "Installing into $(VENV), once, a few minutes (log: $(LOG))"
+	@echo "Installing into $(VENV), once; a minute, or what the download takes (log: $(LOG))"
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV)
 	@rm -f $(STAMP)
-	@{ $(PIP_INSTALL) --upgrade pip setuptools && \
-		$(PIP_INSTALL) --no-build-isolation --editable '.[dev,pipeline,ros,s3,sim]'; \
+	@{ $(PIP) install --constraint constraints.txt --upgrade pip setuptools uv && \
+		{ $(UV) $(EVERYTHING) || $(PIP) install --no-build-isolation $(EVERYTHING); }; \
 	} >$(LOG) 2>&1 || { tail -n 20 $(LOG) >&2; echo "error: the installation failed; the whole log is in $(LOG)" >&2; exit 1; }
 	@touch $(STAMP)
 

@@ -141,6 +141,7 @@ case "$*" in
   "-c "*) exit ${{FAKE_TOO_OLD:-0}} ;;
   "--version") echo Python 3.8.1 ;;
   "-m venv"*) mkdir -p {self.venv}/bin && cp "$0" {self.venv}/bin/python ;;
+  "-m uv"*) exit ${{FAKE_UV:-${{FAKE_INSTALL:-0}}}} ;;
   *--editable*) exit ${{FAKE_INSTALL:-0}} ;;
 esac
 """
@@ -177,6 +178,15 @@ def test_an_interrupted_installation_is_made_up_for(fake_python: FakePython) -> 
     assert "the installation failed" in broken.stderr
     assert fake_python.make().returncode == 0
     assert fake_python.installs == 1
+
+
+def test_where_uv_finds_no_way_pip_installs(fake_python: FakePython) -> None:
+    assert fake_python.make().returncode == 0
+    assert "-m pip install --no-build-isolation" not in fake_python.log.read_text()
+    shutil.rmtree(fake_python.venv)
+    made = fake_python.make(FAKE_UV="1")
+    assert made.returncode == 0, made.stderr
+    assert "-m pip install --no-build-isolation" in fake_python.log.read_text()
 
 
 def test_an_old_python_is_refused_with_what_to_do(fake_python: FakePython) -> None:
