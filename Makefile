@@ -26,7 +26,7 @@ help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo "Variables: EXPERIMENT=paper|smoke, ARGS=\"hydra overrides\", PYTHON=python3.11 (or newer)"
 
-install: $(STAMP)  ## make .venv with the tested versions (3.4 GB)
+install: $(STAMP)  ## make .venv with the tested versions (3 GB)
 
 $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
