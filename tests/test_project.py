@@ -54,8 +54,9 @@ def test_every_dependency_is_pinned_to_one_version_of_no_special_build() -> None
     assert PINS["torch"] == "2.13.0"
 
 
-@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="needs several processes that share the tests")
 def test_processes_share_the_tests_by_group(request: pytest.FixtureRequest) -> None:
+    if not getattr(request.config.option, "loadgroup", False):
+        pytest.skip("needs several processes that share the tests by group, as those of `make test`")
     assert request.node.nodeid.endswith(f"@{Path(__file__).relative_to(ROOT)}")
 
 
