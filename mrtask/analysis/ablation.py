@@ -7,6 +7,7 @@ Arms whose trials are the same share the rows of planners that do not differ.
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +29,7 @@ from mrtask.analysis.statistics import (
     cell_name,
     improvement_of_means,
     improvement_percent,
+    paired_costs,
     summarise,
 )
 from mrtask.analysis.style import NOTHING, counted, planner_label
@@ -61,6 +63,12 @@ class _Arm:
     rows: ArmRows
     episodes: pd.DataFrame
     summary: Summary
+
+    @cached_property
+    def costs(self) -> pd.DataFrame:
+        """Each trial's size class and robots, and each planner's cost in seconds; NaN where it did not finish."""
+        trials = self.episodes.groupby("trial_id")[["size_class", "robots"]].first()
+        return trials.join(paired_costs(self.episodes).reindex(columns=list(COMPARED)))
 
 
 def waiting_shares(trace: str) -> list[float]:
@@ -169,10 +177,11 @@ def verdict_table(arms: Sequence[_Arm], published: Published, planner: str) -> T
 
 def _unlike(arms: Sequence[_Arm], planner: str) -> list[_Arm]:
     """The arms without those in which the planner and the baselines have the costs that they have in an earlier one."""
-    kept: dict[tuple[str, ...], _Arm] = {}
+    compared, kept = [planner, *BASELINES], list[_Arm]()
     for arm in arms:
-        kept.setdefault(tuple(_costs(arm, name).sort_index().to_json() for name in (planner, *BASELINES)), arm)
-    return list(kept.values())
+        if not any(arm.costs[compared].equals(other.costs[compared]) for other in kept):
+            kept.append(arm)
+    return kept
 
 
 def switch_table(arms: Sequence[_Arm]) -> Table | None:
@@ -265,11 +274,10 @@ def _waiting_heading(index: int, robots: int) -> str:
 
 def _costs(arm: _Arm, planner: str, cell: Cell = EVERYTHING) -> pd.Series:
     """A planner's costs in seconds by trial, of those of a cell that it finished."""
-    rows = arm.episodes[(arm.episodes["planner"] == planner) & (arm.episodes["status"] == "accepted")]
+    costs = arm.costs
     if cell != EVERYTHING:
-        rows = rows[(rows["size_class"] == cell[0]) & (rows["robots"] == cell[1])]
-    costs: pd.Series = rows.set_index("trial_id")["cost_s"]
-    return costs
+        costs = costs[(costs["size_class"] == cell[0]) & (costs["robots"] == cell[1])]
+    return costs[planner].dropna()
 
 
 def _saved(after: pd.Series, before: pd.Series) -> Entry:

@@ -318,18 +318,18 @@ def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame
 
 
 def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
-    table = paired_costs(rows)
-    planners = [name for name in summary.planners if name in table.columns]
-    costs = table[planners].to_numpy()
-    both_units = np.column_stack([costs, paired_costs(rows, "cost_cells")[planners].to_numpy()])
-    estimate = PairedDraws(both_units).estimate
+    seconds, cells = paired_costs(rows), paired_costs(rows, "cost_cells")
+    planners = [name for name in summary.planners if name in seconds.columns]
+    costs = seconds[planners].to_numpy()
+    estimate = PairedDraws(np.column_stack([costs, cells[planners].to_numpy()])).estimate
+    counts = rows.groupby(["planner", "status"]).size().to_dict()
+    mean_s, decision_s = seconds.mean().to_dict(), _decision_s(rows)
     for index, name in enumerate(planners):
-        own = rows[rows["planner"] == name]
         summary.planner_cells[cell, name] = PlannerCell(
-            counts={status: int((own["status"] == status).sum()) for status in STATUSES},
+            counts={status: counts.get((name, status), 0) for status in STATUSES},
             cost_cells=estimate(lambda means: means[..., 0], [len(planners) + index]),
-            cost_s=float(own["cost_s"].mean()),
-            decision_s=_decision_s(own),
+            cost_s=mean_s[name],
+            decision_s=decision_s.get(name, float("nan")),
         )
         for baseline in REFERENCES:
             if baseline in planners and baseline != name:
@@ -341,9 +341,10 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
             summary.gaps[cell, name] = estimate(_gap_closed, columns)
 
 
-def _decision_s(rows: pd.DataFrame) -> float:
+def _decision_s(rows: pd.DataFrame) -> dict[str, float]:
+    """Seconds of planning by decision of each planner for which they were recorded."""
     if not {"planning_s", "decisions"} <= set(rows.columns):
-        return float("nan")
-    known = rows[["planning_s", "decisions"]].dropna()
-    decisions = float(known["decisions"].sum())
-    return float(known["planning_s"].sum()) / decisions if decisions else float("nan")
+        return {}
+    known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()
+    known = known[known["decisions"] > 0]
+    return {str(name): float(value) for name, value in (known["planning_s"] / known["decisions"]).items()}

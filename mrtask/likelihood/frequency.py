@@ -5,8 +5,9 @@ coarser one: (object, container, room) towards (object, container), towards (obj
 seen backs off to what is known without it.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,11 @@ from mrtask.likelihood.options import SMOOTHINGS
 from mrtask.likelihood.rows import TRIPLE
 
 KIND = "frequency"
+COUNTS = ["positives", "count"]
+LEVELS = (["container", "room"], ["object"], ["object", "container"], TRIPLE)
+"""From coarse to fine."""
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +40,18 @@ class FrequencyModel:
         """``frequency``."""
         return KIND
 
-    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+    def predict(self, names: pd.DataFrame) -> Floats:
         """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
-        total = self.triples[["positives", "count"]].sum()
-        estimate = np.full(len(names), (total["positives"] + 0.5) / (total["count"] + 1.0))
-        for level in (["container", "room"], ["object"], ["object", "container"], TRIPLE):
-            table = self.triples.groupby(level)[["positives", "count"]].sum()
-            found = names[level].merge(table, left_on=level, right_index=True, how="left")[["positives", "count"]]
-            found = found.fillna(0.0)
-            estimate = (found["positives"].to_numpy() + self.strength * estimate) / (
-                found["count"].to_numpy() + self.strength
-            )
-        return clip_probs(estimate)
+        return self._probs(self._counts_of(names), self.strength)
+
+    def smoothed_by(self, validation: pd.DataFrame) -> "FrequencyModel":
+        """The same with the strength that predicts other homes best; see ``TrainingOptions``."""
+        if not len(validation):
+            return replace(self, strength=SMOOTHINGS[0])
+        counts = self._counts_of(validation)
+        best = min(SMOOTHINGS, key=lambda strength: log_loss(self._probs(counts, strength), validation))
+        return replace(self, strength=best)
 
     def save(self, folder: Path) -> None:
         """Write the counts and the description."""
@@ -59,11 +64,22 @@ class FrequencyModel:
         """The model of a folder whose ``model.json`` has been read."""
         return cls(read_triples(folder), float(description["strength"]))
 
+    @cached_property
+    def _tables(self) -> list[pd.DataFrame]:
+        """``positives`` and ``count`` of each group, per level."""
+        return [self.triples.groupby(level)[COUNTS].sum() for level in LEVELS]
 
-def best_smoothing(triples: pd.DataFrame, validation: pd.DataFrame) -> float:
-    """The strength that predicts other homes best; see ``TrainingOptions``."""
-    if not len(validation):
-        return SMOOTHINGS[0]
-    return min(
-        SMOOTHINGS, key=lambda strength: log_loss(FrequencyModel(triples, strength).predict(validation), validation)
-    )
+    def _counts_of(self, names: pd.DataFrame) -> list[Floats]:
+        """[2, N] positives and count of the groups that the names belong to, per level; 0 for a group never seen."""
+        found = (
+            names[level].merge(table, left_on=level, right_index=True, how="left")[COUNTS].fillna(0.0)
+            for level, table in zip(LEVELS, self._tables, strict=True)
+        )
+        return [one.to_numpy(dtype=np.float64).T for one in found]
+
+    def _probs(self, counts: Sequence[Floats], strength: float) -> Floats:
+        total = self.triples[COUNTS].sum()
+        estimate = np.full(counts[0].shape[1], (total["positives"] + 0.5) / (total["count"] + 1.0))
+        for positives, count in counts:
+            estimate = (positives + strength * estimate) / (count + strength)
+        return clip_probs(estimate)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from mrtask.likelihood.features import encode_triples, name_features
-from mrtask.likelihood.frequency import FrequencyModel, best_smoothing
+from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.logistic import LogisticModel, train_logistic
 from mrtask.likelihood.model import LikelihoodModel, ModelError, read_description
 from mrtask.likelihood.options import SMOOTHINGS, EpochCallback, EpochMetrics, TrainingOptions
@@ -43,7 +43,9 @@ class Kind(NamedTuple):
 
 
 def _train_frequency(job: Job) -> Fitted:
-    model = FrequencyModel(job.train, job.options.smoothing or best_smoothing(job.train, job.validation))
+    model = FrequencyModel(job.train, job.options.smoothing or SMOOTHINGS[0])
+    if job.options.smoothing is None:
+        model = model.smoothed_by(job.validation)
     job.tell(f"smoothed by {model.strength:g} rows")
     return model, []
 

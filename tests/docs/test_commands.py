@@ -15,18 +15,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from omegaconf import OmegaConf
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
-from pipeline.app.main import CONF_DIR, _for_hydra
-from pipeline.base.config import load
+from pipeline.app.main import _for_hydra
 from pipeline.live.process import read_options as live_options
 from pipeline.live.ros import read_options as ros_options
 from simulators.pyrobosim.__main__ import read_options
+from tests.pipeline.configured import configured
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,15 +77,6 @@ BLOCKS = list(blocks())
 def of(*languages: str) -> list[pytest.param]:  # type: ignore[valid-type]
     chosen = [block for block in BLOCKS if block.language in languages and block.not_run is None]
     return [pytest.param(block, id=f"{block.page}:{block.line}") for block in chosen]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _configuration() -> Iterator[None]:
-    for name in ("default_cache_dir", "stage_name", "stage_help"):
-        OmegaConf.register_new_resolver(name, lambda: "/none", replace=True)
-    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
-    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
-        yield
 
 
 def test_every_block_says_what_it_is() -> None:
@@ -196,7 +185,7 @@ def _check_make(arguments: list[str], folder: Path) -> None:
 def _check_overrides(arguments: list[str]) -> None:
     arguments = [_for_hydra(one) for one in arguments if one not in ("-m", "--help", "--cfg", "job", "--dry-run")]
     overrides = OverridesParser.create().parse_overrides(arguments)
-    load(compose("config", [_first(override) for override in overrides]))
+    configured(*map(_first, overrides))
 
 
 def _first(override: Override) -> str:

@@ -4,15 +4,13 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from mrtask.analysis.ablation import COMPARED
 from pipeline.ablation import AUTHORS, PAPER, WHAT, protocols
-from pipeline.app.main import CONF_DIR
 from pipeline.arms import SharedRun, lay_out
-from pipeline.base.config import Config, UserError, load
+from pipeline.base.config import Config, UserError
 from pipeline.base.studies import Arm
+from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 
 PATIENT = "planner.nonlearned_myopic.return_to_known=when_complete"
@@ -23,20 +21,12 @@ SWITCHES = (
 STEPS = "ablation.steps=[{name: first, overrides: 'planner.pouct_paper.exploration=0.7'}]"
 
 
-def make(*overrides: str) -> Config:
-    for name in ("default_cache_dir", "stage_name", "stage_help"):
-        OmegaConf.register_new_resolver(name, lambda: "/cache", replace=True)
-    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
-    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
-        return load(compose("config", list(overrides)))
-
-
 def laid_out(config: Config) -> list[SharedRun]:
     return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT)
 
 
 def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_planners() -> None:
-    config = make(SWITCHES, STEPS)
+    config = configured(SWITCHES, STEPS)
     names = [arm.name for arm in protocols(config.ablation)]
     assert names == [
         PAPER,
@@ -56,35 +46,35 @@ def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_pla
     assert by_arm["paper + patient"]["pouct"] == by_arm[PAPER]["pouct"] == "pouct:paper"
     assert by_arm["paper + patient"]["nonlearned_myopic"] == by_arm["authors - part known"]["nonlearned_myopic"]
     assert by_arm["paper + patient"]["nonlearned_myopic"] != by_arm[PAPER]["nonlearned_myopic"]
-    configured = part.configured()
-    assert configured.evaluation.unsearched_share == (0.5, 1.0)
-    assert configured.evaluation.planners == tuple(part.variants)
-    assert configured.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
-    assert configured.output_dir != whole.configured().output_dir
+    applied = part.configured()
+    assert applied.evaluation.unsearched_share == (0.5, 1.0)
+    assert applied.evaluation.planners == tuple(part.variants)
+    assert applied.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
+    assert applied.output_dir != whole.configured().output_dir
 
 
 def test_an_ablation_that_is_asked_for_more_goes_on_in_the_same_folders() -> None:
-    folders = [one.configured().output_dir for one in laid_out(make(SWITCHES))]
-    more = make(SWITCHES, STEPS, "evaluation.trials_per_cell=200", "evaluation.robots=[1,2,3,4]")
+    folders = [one.configured().output_dir for one in laid_out(configured(SWITCHES))]
+    more = configured(SWITCHES, STEPS, "evaluation.trials_per_cell=200", "evaluation.robots=[1,2,3,4]")
     assert [one.configured().output_dir for one in laid_out(more)] == folders
     for other in ("seed=1", "planner.pouct.samples=10", "belief.adapt=true", "likelihood.uniform_mix=0.5"):
-        assert not set(folders) & {one.configured().output_dir for one in laid_out(make(SWITCHES, other))}, other
+        assert not set(folders) & {one.configured().output_dir for one in laid_out(configured(SWITCHES, other))}, other
 
 
 def test_arms_can_differ_in_what_planners_are_given() -> None:
-    config = make()
+    config = configured()
     arms = [("as it is", ()), ("noisy", ("likelihood.noise_sd=2",)), ("same", ("likelihood.noise_sd=0",))]
     [shared] = lay_out(config, arms, ("pouct",), "test")
     assert list(shared.variants) == ["pouct:as-it-is", "pouct:noisy"]
-    configured = shared.configured()
-    assert configured.likelihood.noise_sd == 0
-    assert [configured.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
+    applied = shared.configured()
+    assert applied.likelihood.noise_sd == 0
+    assert [applied.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
 
 
 def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
     poor = ("perception.true_positive_prob=0.7",)
     arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
-    sees_all, misses = lay_out(make(), arms, ("pouct",), "test")
+    sees_all, misses = lay_out(configured(), arms, ("pouct",), "test")
     assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
     assert misses.configured().perception.true_positive_prob == 0.7
     assert misses.configured().output_dir != sees_all.configured().output_dir
@@ -92,15 +82,15 @@ def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
 
 def test_all_switches_together_are_the_preset_authors() -> None:
     """But for where homes and likelihoods come from."""
-    every = [override for switch in make().ablation.switches for override in switch.overrides]
-    switched, preset = make(*every), make("experiment=authors", "homes=generated", "model=similarity")
+    every = [override for switch in configured().ablation.switches for override in switch.overrides]
+    switched, preset = configured(*every), configured("experiment=authors", "homes=generated", "model=similarity")
     assert switched.evaluation == preset.evaluation
     assert switched.map == preset.map
     assert switched.planner == preset.planner
 
 
 def test_mistakes_in_arms_are_refused_before_any_work() -> None:
-    config = make(SWITCHES)
+    config = configured(SWITCHES)
     wrong = Arm(name="wrong", overrides=("evaluation.unsearched_share=[2,3]",))
     with pytest.raises(UserError, match=r"ablation, arm paper \+ wrong: evaluation.unsearched_share"):
         laid_out(config.model_copy(update={"ablation": config.ablation.model_copy(update={"switches": (wrong,)})}))

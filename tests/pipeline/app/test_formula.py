@@ -4,29 +4,16 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from mrtask.homes.home import Home
 from mrtask.tasks.words import WordsError
-from pipeline.app.main import CONF_DIR, _for_hydra
-from pipeline.base.config import Config, UserError, load
+from pipeline.app.main import _for_hydra
+from pipeline.base.config import UserError
 from pipeline.episodes.plan import check, task_of
+from tests.pipeline.configured import configured
 
 ROOT = Path(__file__).resolve().parents[3]
 FORMULA = "F Mug & (!Laptop U Book)"
-
-
-@pytest.fixture(autouse=True)
-def _resolvers() -> None:
-    for name in ("default_cache_dir", "stage_name", "stage_help"):
-        OmegaConf.register_new_resolver(name, lambda: "/none", replace=True)
-    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
-
-
-def make(*arguments: str) -> Config:
-    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
-        return load(compose("config", [_for_hydra(argument) for argument in arguments]))
 
 
 def arguments_of(command: str, folder: Path) -> list[str]:
@@ -50,16 +37,16 @@ def arguments_of(command: str, folder: Path) -> list[str]:
 )
 def test_the_shells_quotes_are_enough(command: str, tmp_path: Path) -> None:
     arguments = [one for one in arguments_of(command, tmp_path) if one.startswith(("evaluation", "seed"))]
-    assert make(*arguments).evaluation.formula == FORMULA
+    assert configured(*arguments).evaluation.formula == FORMULA
 
 
 @pytest.mark.parametrize("given", [f"'{FORMULA}'", f'"{FORMULA}"', FORMULA, f"  {FORMULA} "])
 def test_quotes_for_hydra_are_not_needed_and_do_no_harm(given: str) -> None:
-    assert make(f"evaluation.formula={given}").evaluation.formula == FORMULA
+    assert configured(f"evaluation.formula={given}").evaluation.formula == FORMULA
 
 
 def test_no_formula_and_other_keys_are_left_alone() -> None:
-    assert make("evaluation.formula=null").evaluation.formula is None
+    assert configured("evaluation.formula=null").evaluation.formula is None
     assert _for_hydra("evaluation.formula_file=a,b") == "evaluation.formula_file=a,b"
     assert _for_hydra("planner.pouct.samples=1,2") == "planner.pouct.samples=1,2"
     assert _for_hydra("evaluation.formula=F a & F b,F c") == "evaluation.formula='F a & F b','F c'"
@@ -68,27 +55,30 @@ def test_no_formula_and_other_keys_are_left_alone() -> None:
 def test_a_formula_comes_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "task.ltl"
     path.write_text(FORMULA.replace(" & ", " &\n  ") + "\n")
-    assert make(f"evaluation.formula_file={path}").evaluation.formula == FORMULA
+    assert configured(f"evaluation.formula_file={path}").evaluation.formula == FORMULA
     with pytest.raises(UserError, match="not both"):
-        make(f"evaluation.formula_file={path}", "evaluation.formula=F Mug")
+        configured(f"evaluation.formula_file={path}", "evaluation.formula=F Mug")
     with pytest.raises(UserError, match=r"evaluation\.formula_file=.*nowhere: cannot be read"):
-        make(f"evaluation.formula_file={tmp_path / 'nowhere'}")
+        configured(f"evaluation.formula_file={tmp_path / 'nowhere'}")
 
 
 @pytest.mark.parametrize("given", ["laptop or book, then remote", "'laptop or book, then remote'"])
 def test_a_task_in_words_is_one_whatever_its_commas(given: str) -> None:
-    assert make(f"evaluation.task={given}").evaluation.task == "laptop or book, then remote"
+    assert configured(f"evaluation.task={given}").evaluation.task == "laptop or book, then remote"
     with pytest.raises(UserError, match="not both"):
-        make(f"evaluation.task={given}", "evaluation.formula=F Mug")
+        configured(f"evaluation.task={given}", "evaluation.formula=F Mug")
 
 
 def test_words_name_the_objects_of_the_homes(two_room_home: Home) -> None:
-    options = make("evaluation.task=the egg, then pillow").evaluation
+    options = configured("evaluation.task=the egg, then pillow").evaluation
     check(options)
     assert task_of(options, [two_room_home]) == ("(!Pillow U Egg) & F Pillow", ("Egg", "Pillow"))
     with pytest.raises(WordsError, match="'unicorn' is not an object here"):
-        task_of(make("evaluation.task=unicorn").evaluation, [two_room_home])
+        task_of(configured("evaluation.task=unicorn").evaluation, [two_room_home])
     with pytest.raises(WordsError, match="could mean different things"):
-        check(make("evaluation.task=egg and pillow or book").evaluation)
-    assert task_of(make().evaluation, [two_room_home]) == (None, ())
-    assert task_of(make("evaluation.formula=F Unicorn").evaluation, [two_room_home]) == ("F Unicorn", ("Unicorn",))
+        check(configured("evaluation.task=egg and pillow or book").evaluation)
+    assert task_of(configured().evaluation, [two_room_home]) == (None, ())
+    assert task_of(configured("evaluation.formula=F Unicorn").evaluation, [two_room_home]) == (
+        "F Unicorn",
+        ("Unicorn",),
+    )

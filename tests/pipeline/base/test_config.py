@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import TrainingOptions
@@ -14,31 +13,22 @@ from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline import train
 from pipeline.app.main import CONF_DIR
-from pipeline.base.config import Config, UserError, content_hash, load
+from pipeline.base.config import UserError, content_hash, load
 from pipeline.base.sections import ModelKind
+from tests.pipeline.configured import composed_by_hydra, configured
+
+CHOICES = sorted(path for path in CONF_DIR.glob("*/*.yaml") if len(list(path.parent.glob("*.yaml"))) > 1)
+"""The options of groups that have several; every configuration holds the others'."""
 
 
-@pytest.fixture(autouse=True)
-def _resolvers() -> None:
-    OmegaConf.register_new_resolver("default_cache_dir", lambda: "/cache", replace=True)
-    OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
-    OmegaConf.register_new_resolver("stage_name", lambda: "", replace=True)
-    OmegaConf.register_new_resolver("stage_help", lambda: "", replace=True)
-
-
-def make(*overrides: str) -> Config:
-    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
-        return load(compose("config", list(overrides)))
-
-
-@pytest.mark.parametrize("path", sorted(CONF_DIR.glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}")
+@pytest.mark.parametrize("path", CHOICES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_option_of_every_group_is_valid(path: Path) -> None:
     needed = {"procthor": ["homes.files=[a.jsonl]"], "ros_map": ["homes.map=a.yaml", "homes.containers=b.yaml"]}
-    make(f"{path.parent.name}={path.stem}", *needed.get(path.stem, []))
+    configured(f"{path.parent.name}={path.stem}", *needed.get(path.stem, []))
 
 
 def test_defaults_are_the_papers_experiment() -> None:
-    config = make()
+    config = configured()
     assert config.homes.train == 500
     evaluation = config.evaluation
     assert len(evaluation.size_classes) * len(evaluation.robots) * evaluation.trials_per_cell == 900
@@ -48,21 +38,21 @@ def test_defaults_are_the_papers_experiment() -> None:
 
 @pytest.mark.parametrize(("name", "options"), [("pouct", PouctOptions()), ("pouct_paper", PaperOptions())])
 def test_the_configuration_shows_every_option_of_the_searches_with_its_default(name: str, options: object) -> None:
-    assert make().planner[name] == vars(options)
+    assert configured().planner[name] == vars(options)
 
 
 def test_relative_paths_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    config = make("output_dir=here", "homes=procthor", "homes.files=[a.jsonl,b.jsonl]", "datasets_dir=/data")
+    config = configured("output_dir=here", "homes=procthor", "homes.files=[a.jsonl,b.jsonl]", "datasets_dir=/data")
     assert config.output_dir == str(tmp_path / "here")
     assert config.homes.model_dump()["files"] == (tmp_path / "a.jsonl", tmp_path / "b.jsonl")
     assert config.datasets_dir == Path("/data")
     assert config.tracking.uri == f"sqlite:///{tmp_path}/outputs/mlflow.db"
-    assert make("output_dir=s3://bucket/run").output_dir == "s3://bucket/run"
+    assert configured("output_dir=s3://bucket/run").output_dir == "s3://bucket/run"
 
 
 def test_single_values_stand_for_lists_of_one() -> None:
-    evaluation = make("evaluation.robots=2", "evaluation.planners=greedy", "evaluation.templates=and2").evaluation
+    evaluation = configured("evaluation.robots=2", "evaluation.planners=greedy", "evaluation.templates=and2").evaluation
     assert (evaluation.robots, evaluation.planners, evaluation.templates) == ((2,), ("greedy",), ("and2",))
 
 
@@ -104,24 +94,24 @@ def test_single_values_stand_for_lists_of_one() -> None:
 )
 def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: list[str]) -> None:
     with pytest.raises(UserError) as caught:
-        make(*overrides)
+        configured(*overrides)
     for part in said:
         assert part in str(caught.value)
 
 
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
     planners = "evaluation.planners=[tests.pipeline.own_planners.Gated]"
-    config = make(planners, "+planner.Gated.gate=there")
+    config = configured(planners, "+planner.Gated.gate=there")
     assert config.planner_options("tests.pipeline.own_planners.Gated") == {"gate": "there"}
     with pytest.raises(UserError, match=r"own_planners\.Gated.*door"):
-        make(planners, "+planner.Gated.door=there")
+        configured(planners, "+planner.Gated.door=there")
 
 
 def test_model_kinds_and_training_options_fit_the_library() -> None:
     assert get_args(ModelKind) == tuple(KINDS)
     for kind in KINDS:
-        assert make(f"model={kind}").model.kind == kind
-    config = make("model=mlp", "seed=3", "trainer.max_epochs=7")
+        assert configured(f"model={kind}").model.kind == kind
+    config = configured("model=mlp", "seed=3", "trainer.max_epochs=7")
     options = train.training_options(config.model, config.trainer, config.seed, config.cache_dir)
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
@@ -134,13 +124,13 @@ def test_content_hash_depends_on_values_not_on_order() -> None:
 
 def test_a_variant_has_its_planners_options_but_for_its_own() -> None:
     variant = "+planner_variants.still={planner: pouct, options: {reassign: free}}"
-    config = make(variant, "evaluation.planners=[pouct,still]", "planner.pouct.samples=7")
+    config = configured(variant, "evaluation.planners=[pouct,still]", "planner.pouct.samples=7")
     assert config.planner_options("still") == config.planner_options("pouct") | {"reassign": "free"}
     assert (config.planner_behind("still"), config.planner_behind("pouct")) == ("pouct", "pouct")
     with pytest.raises(UserError, match=r"planner_variants.greedy: is a planner's own name"):
-        make("+planner_variants.greedy={planner: pouct, options: {}}")
+        configured("+planner_variants.greedy={planner: pouct, options: {}}")
     with pytest.raises(UserError, match=r"planner_variants.still: planner 'pouct' refuses its options.*pace"):
-        make("+planner_variants.still={planner: pouct, options: {pace: 3}}")
+        configured("+planner_variants.still={planner: pouct, options: {pace: 3}}")
 
 
 @pytest.mark.parametrize(
@@ -158,5 +148,13 @@ def test_a_variant_has_its_planners_options_but_for_its_own() -> None:
 )
 def test_protocol_switches_say_what_they_allow(override: str, said: str) -> None:
     with pytest.raises(UserError) as caught:
-        make(override)
+        configured(override)
     assert said in str(caught.value)
+
+
+def test_tests_configure_as_hydra_does() -> None:
+    own = ["evaluation.planners=[tests.pipeline.own_planners.Gated]", "+planner.Gated.gate=there"]
+    overrides = ["experiment=smoke", "model=mlp", "seed=3", "evaluation.robots=[1,2]", *own]
+    assert configured(*overrides) == load(composed_by_hydra(overrides))
+    with pytest.raises(OmegaConfBaseException):
+        configured("evaluation.robot=1")
