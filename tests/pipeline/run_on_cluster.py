@@ -15,13 +15,16 @@ from tests.pipeline.harness import run_stage
 from tests.pipeline.own_planners import Gate
 
 NOTICED_WITHIN_S = 60
+CHECKED_EVERY_MS = 500
+"""How often a head asks its nodes whether they are there, so that it soon misses one. (Ray's default is 3 s.)"""
 
 
 def main(workspace: Path, gate: Gate, *overrides: str) -> None:
     """Prints as JSON how many nodes there were before and after, and how many rows when one was lost."""
     os.chdir(workspace)
     gate.shut_after(6)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_period_ms": CHECKED_EVERY_MS}}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
     doomed, _ = (cluster.add_node(num_cpus=1) for _ in range(2))
     cluster.wait_for_nodes()
     os.environ["RAY_ADDRESS"] = cluster.address

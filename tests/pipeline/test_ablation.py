@@ -102,14 +102,15 @@ def test_mistakes_in_arms_are_refused_before_any_work() -> None:
 def test_an_ablation_runs_each_planner_once_and_shows_every_arm(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "ablation"
     small = [one for one in workspace.overrides if not one.startswith("evaluation.planners")]
-    command = [*small, "planner.pouct_paper.samples=20", SWITCHES, STEPS, f"output_dir={out}"]
+    small += ["evaluation.size_classes=[small]", "planner.pouct_paper.samples=20"]
+    command = [*small, SWITCHES, STEPS, f"output_dir={out}"]
     finished = cli("ablation", *command, cwd=workspace.path)
     assert finished.code == 0, finished.err
     page = (out / "report" / "index.html").read_text()
     for name in ("paper", "paper + patient", "authors - part known", "step: first"):
         assert name in page
     frames = [pd.read_parquet(folder / "episodes") for folder in sorted((out / "runs").iterdir())]
-    assert sorted(len(frame) for frame in frames) == [5 * 12, 6 * 12]
+    assert sorted(len(frame) for frame in frames) == [5 * 4, 6 * 4]
     assert all((frame["status"] == "accepted").all() for frame in frames)
     again = cli("ablation", *command, cwd=workspace.path)
     assert again.code == 0
