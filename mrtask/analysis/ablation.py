@@ -177,7 +177,8 @@ def verdict_table(arms: Sequence[_Arm], published: Published, planner: str) -> T
 
 def _unlike(arms: Sequence[_Arm], planner: str) -> list[_Arm]:
     """The arms without those in which the planner and the baselines have the costs that they have in an earlier one."""
-    compared, kept = [planner, *BASELINES], list[_Arm]()
+    compared = [planner, *BASELINES]
+    kept: list[_Arm] = []
     for arm in arms:
         if not any(arm.costs[compared].equals(other.costs[compared]) for other in kept):
             kept.append(arm)

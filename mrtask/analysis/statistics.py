@@ -346,5 +346,4 @@ def _decision_s(rows: pd.DataFrame) -> dict[str, float]:
     if not {"planning_s", "decisions"} <= set(rows.columns):
         return {}
     known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()
-    known = known[known["decisions"] > 0]
     return {str(name): float(value) for name, value in (known["planning_s"] / known["decisions"]).items()}
