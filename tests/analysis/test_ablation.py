@@ -94,13 +94,15 @@ def test_switches_are_compared_with_the_arm_without_them(page):
     assert points == pytest.approx([published] * 3, abs=1)
 
 
-def test_a_switch_that_moves_one_cell_is_shown_there_alone():
-    before, moved = (episodes({"pouct_paper": percent}) for percent in (0.0, 20.0))
-    after = pd.concat([before[before["robots"] == 1], moved[moved["robots"] == 2]])
-    arms = [ArmRows("paper", before, (), True), ArmRows("paper + pairs", after, (), False, against="paper")]
+def test_cells_that_a_switch_moves_are_shown_apart_from_those_it_does_not():
+    cells = (("small", 1), ("small", 2), ("large", 1))
+    before, moved = (episodes({"pouct_paper": percent}, cells=cells) for percent in (0.0, 20.0))
+    as_before = before["trial_id"].str.startswith("small-1")
+    after = pd.concat([before[as_before], moved[~as_before]])
+    arms = [ArmRows("paper", before, (), True), ArmRows("paper + more", after, (), False, against="paper")]
     rows = table_rows(render_ablation(arms, "test"), "Points of improvement over learned_myopic")
-    points = [float(entry.split("</b>")[0]) for entry in rows["paper + pairs"].split("<b>")[1:]]
-    assert points == pytest.approx([0, 20, 10], abs=1)
+    points = [float(entry.split("</b>")[0]) for entry in rows["paper + more"].split("<b>")[1:]]
+    assert points == pytest.approx([0, 20, 20, 20 * 2 / 3], abs=1)
 
 
 def test_steps_add_up_and_end_at_our_planner(page):
