@@ -18,6 +18,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     pages = [path.relative_to(tmp_path / "site") for path in (tmp_path / "site").rglob("index.html")]
     assert len(pages) > 10
+    assert not list((tmp_path / "site").rglob("*.py[co]")), "what Python left beside the pages is published"
     home = (tmp_path / "site" / "index.html").read_text()
     assert not re.findall(r'(?:src|href)="https?://(?:fonts|cdn|unpkg)[^"]*"', home)  # read offline, too
 
