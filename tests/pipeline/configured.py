@@ -12,8 +12,6 @@ from omegaconf import DictConfig, OmegaConf
 from pipeline.app.main import CONF_DIR, _for_hydra
 from pipeline.base.config import Config, load
 
-CACHE_DIR = "/cache"
-
 
 def configured(*arguments: str) -> Config:
     """The checked configuration; raises `UserError` as a stage does.
@@ -30,7 +28,7 @@ def configured(*arguments: str) -> Config:
 
 def composed_by_hydra(overrides: Sequence[str]) -> DictConfig:
     """What Hydra makes of all of them."""
-    for name, value in (("default_cache_dir", CACHE_DIR), ("stage_name", ""), ("stage_help", "")):
+    for name, value in (("default_cache_dir", "/cache"), ("stage_name", ""), ("stage_help", "")):
         OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
     OmegaConf.register_new_resolver("sweep_dir", lambda output_dir: output_dir, replace=True)
     with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
