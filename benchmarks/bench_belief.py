@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.analysis.calibration import Task, beliefs_of, calibration, change
+from mrtask.analysis.studies.calibration import Task, beliefs_of, calibration, change
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 import pipeline  # noqa: F401 - kernels from the cache
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.homes.generator.house import generate_house
 from mrtask.homes.home import Home
 from mrtask.homes.procthor import parse_house
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.session import LiveSession
 from mrtask.live.state import LiveSetup
-from mrtask.live.team import LiveTeam
 from mrtask.maps.home_map import HomeMap, build_map
 from mrtask.tasks.words import ReadTask
 

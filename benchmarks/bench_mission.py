@@ -20,7 +20,7 @@ import pandas as pd
 from bench_likelihood import SMALL_LAYERS, dataset_of, generated_homes
 from numpy.typing import NDArray
 
-from mrtask.analysis.statistics import compare
+from mrtask.analysis.results.statistics import compare
 from mrtask.execution.episode import run_episode
 from mrtask.execution.trials import Trial, home_order, sample_trial
 from mrtask.files import default_cache_dir

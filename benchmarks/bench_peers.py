@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.statistics import improvement_percent, paired_costs
+from mrtask.analysis.results.statistics import improvement_percent, paired_costs
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.execution.trials import Trial
 from mrtask.planning.planners import make_planner

@@ -9,8 +9,8 @@ matplotlib.use("Agg")
 from matplotlib.figure import Figure
 
 from mrtask import build_map, fit_on_homes, generate_home, generate_homes, make_planner, run_experiment
-from mrtask.analysis.floor_plans import draw_home
-from mrtask.analysis.trajectories import draw_trial
+from mrtask.analysis.drawing.floor_plans import draw_home
+from mrtask.analysis.drawing.trajectories import draw_trial
 
 FOLDER = Path(__file__).resolve().parent / "img"
 DPI = 90

@@ -5,8 +5,8 @@ from mrtask.execution.episode import EpisodeResult as EpisodeResult
 from mrtask.execution.episode import run_episode as run_episode
 from mrtask.execution.experiment import Progress as Progress
 from mrtask.execution.experiment import run_experiment as run_experiment
-from mrtask.execution.team import RobotSpec as RobotSpec
-from mrtask.execution.team import Team as Team
+from mrtask.execution.team_spec import RobotSpec as RobotSpec
+from mrtask.execution.team_spec import Team as Team
 from mrtask.execution.trace import Trace as Trace
 from mrtask.execution.trials import Trial as Trial
 from mrtask.execution.trials import TrialOptions as TrialOptions

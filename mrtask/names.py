@@ -1,4 +1,4 @@
-"""Names in words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
+"""Names and numbers in words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
 
 import re
 import unicodedata
@@ -16,3 +16,8 @@ def name_to_text(name: str) -> str:
         raise TypeError(f"a name must be a string, got {name!r} of type {type(name).__name__}")
     clean = unicodedata.normalize("NFKC", name.encode("utf-8", "replace").decode("utf-8"))
     return _SEPARATORS.sub(" ", _WORD_BOUNDARY.sub(" ", clean)).strip().lower()
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 robot``, ``2 robots``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

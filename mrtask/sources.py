@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 """The folder that holds the package."""
 SUFFIXES = frozenset({".py", ".yaml", ".toml", ".json", ".csv", ".jinja"})
 
-KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/analysis/bounds")
+KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/bounds")
 """The packages that hold compiled kernels."""
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate
 
-from mrtask.analysis.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
+from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import SharedRun, run_arms

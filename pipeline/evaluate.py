@@ -12,9 +12,9 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from mrtask.analysis.episodes import checked_episodes
-from mrtask.analysis.statistics import BASELINES, summarise
-from mrtask.analysis.style import planner_label
+from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.results.episodes import checked_episodes
+from mrtask.analysis.results.statistics import BASELINES, summarise
 from pipeline import homes, report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage

@@ -14,7 +14,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from mrtask.analysis.floor_plans import draw_gallery, draw_home
+from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home
 from mrtask.files import sha256_of
 from mrtask.homes import procthor, split
 from mrtask.homes.download import DownloadError, fetch_procthor10k

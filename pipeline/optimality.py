@@ -1,6 +1,6 @@
 """Measures how far planners are from optimal, by lower bounds on what any planner can reach under its belief.
 
-Each trial is run in worlds drawn from its own belief; see `mrtask.analysis.bounds.assess`. Leaves one row per trial in
+Each trial is run in worlds drawn from its own belief; see `mrtask.bounds.assess`. Leaves one row per trial in
 ``<output_dir>/optimality.csv``, which pipeline.report shows. Run again, it computes only the trials that are missing.
 """
 
@@ -10,8 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.optimality import CellOptimality, summarise_optimality
-from mrtask.analysis.statistics import Estimate, cell_name
+from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
+from mrtask.analysis.results.statistics import Estimate, cell_name
 from pipeline import homes
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
@@ -43,7 +43,7 @@ def run(config: Config, session: Session) -> None:
         measured = config.evaluation.model_copy(update={"planners": options.planners})
         plan = plan_evaluation(config.model_copy(update={"evaluation": measured}), homes.run(config, session), model)
         keys = [key for key in plan.keys if key.number < options.trials_per_cell]
-        sources = source_hash("mrtask/analysis/bounds")
+        sources = source_hash("mrtask/bounds")
         hashed = content_hash([plan.identity.content(), options.worlds, sources])
         console.headline(
             "optimality", f"{len(keys)} trials, each in {options.worlds} worlds, model version {model.version}"

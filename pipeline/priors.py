@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from mrtask.analysis.calibration import Task, searched_in
-from mrtask.analysis.findings import main_planner
-from mrtask.analysis.prior_page import render_priors
-from mrtask.analysis.prior_study import TRUTH, ArmRows
+from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.studies.calibration import Task, searched_in
+from mrtask.analysis.studies.prior_page import render_priors
+from mrtask.analysis.studies.prior_study import TRUTH, ArmRows
 from mrtask.execution.trace import Trace
 from pipeline import evaluate, homes, train
 from pipeline.app.main import main

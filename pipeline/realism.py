@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from mrtask.analysis.floor_plans import draw_gallery
-from mrtask.analysis.realism import DescribedHome, compare_homes, describe_home
+from mrtask.analysis.drawing.floor_plans import draw_gallery
+from mrtask.analysis.studies.realism import DescribedHome, compare_homes, describe_home
 from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
 from mrtask.likelihood.options import TrainingOptions

@@ -13,10 +13,10 @@ from typing import Any
 import pandas as pd
 from pydantic import ValidationError
 
-from mrtask.analysis.findings import main_planner
-from mrtask.analysis.replay import Episode, Recorder, make_replay
-from mrtask.analysis.replay_page import render_replay
-from mrtask.analysis.trajectories import baseline_beside
+from mrtask.analysis.drawing.replay_content import Episode, Recorder, make_replay
+from mrtask.analysis.drawing.replay_page import render_replay
+from mrtask.analysis.drawing.trajectories import baseline_beside
+from mrtask.analysis.results.statistics import main_planner
 from mrtask.execution.trace import Trace
 from mrtask.tasks.automaton import build_automaton
 from pipeline import evaluate, homes

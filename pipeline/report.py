@@ -14,10 +14,10 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.curves import BUDGET
-from mrtask.analysis.published import load_published
-from mrtask.analysis.real_world import APARTMENTS, scenario_name, simulated_trial
-from mrtask.analysis.report import TrialsToDraw, render_report, trials_to_draw, write_report
+from mrtask.analysis.report.real_world import APARTMENTS, scenario_name, simulated_trial
+from mrtask.analysis.report.report_page import TrialsToDraw, render_report, trials_to_draw, write_report
+from mrtask.analysis.report.search_curves import BUDGET
+from mrtask.analysis.results.published import load_published
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from pipeline.app.main import main

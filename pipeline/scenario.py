@@ -15,15 +15,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import fmean
 
-from mrtask.analysis.published import RealWorldTrial, load_published
-from mrtask.analysis.real_world import driven_m
-from mrtask.analysis.replay import Episode, Recorder, make_replay
-from mrtask.analysis.replay_page import render_replay
-from mrtask.analysis.style import planner_label
-from mrtask.analysis.trajectories import draw_trial
+from mrtask.analysis.drawing.replay_content import Episode, Recorder, make_replay
+from mrtask.analysis.drawing.replay_page import render_replay
+from mrtask.analysis.drawing.trajectories import draw_trial
+from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.report.real_world import driven_m
+from mrtask.analysis.results.published import RealWorldTrial, load_published
 from mrtask.execution.episode import EpisodeResult, run_episode
 from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
-from mrtask.execution.team import Team
+from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
 from mrtask.planning.planners import Role, planner_role, planners_in_order

@@ -9,7 +9,7 @@ whose values are numbers. The page is ``<output_dir>/sensitivity/index.html``. H
 
 import time
 
-from mrtask.analysis.sensitivity import COMPARED, Curve, Point, render_sensitivity
+from mrtask.analysis.studies.sensitivity import COMPARED, Curve, Point, render_sensitivity
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Arm, run_arms

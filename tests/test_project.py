@@ -77,6 +77,13 @@ def test_forbidden_imports_are_noticed(tmp_path: Path) -> None:
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     smuggled = (
         ("mrtask/homes/smuggler.py", "import mrtask.planning.tree", "the library's layers"),
+        ("mrtask/execution/smuggler.py", "import mrtask.bounds.assess", "the library's layers"),
+        ("mrtask/bounds/smuggler.py", "import mrtask.analysis.page.style", "the library's layers"),
+        ("mrtask/analysis/results/smuggler.py", "import mrtask.analysis.page.style", "the analysis draws"),
+        ("mrtask/analysis/page/smuggler.py", "import mrtask.analysis.drawing.sheet", "the analysis draws"),
+        ("mrtask/analysis/drawing/smuggler.py", "import mrtask.analysis.report.gap", "the analysis draws"),
+        ("mrtask/analysis/studies/smuggler.py", "import mrtask.analysis.report.wins", "the analysis draws"),
+        ("mrtask/analysis/report/smuggler.py", "import mrtask.analysis.studies.realism", "the analysis draws"),
         ("mrtask/maps/smuggler.py", "import mlflow", "the library knows nothing"),
         ("pipeline/backends/smuggler.py", "import ray", "only pipeline.backends.pool knows ray"),
         ("pipeline/backends/smuggler.py", "import mlflow", "only pipeline.backends' tracking"),
@@ -120,7 +127,7 @@ def test_every_kernel_is_where_the_compilers_cache_looks_for_edits() -> None:
 
     kernel = re.compile(r"^(@compiled|@njit|import numba|from numba)", re.MULTILINE)
     compiled = [path for path in (ROOT / "mrtask").rglob("*.py") if kernel.search(path.read_text())]
-    assert {path.parent.relative_to(ROOT).as_posix() for path in compiled} == set(KERNEL_SOURCES)
+    assert compiled and all(any((ROOT / source) in path.parents for source in KERNEL_SOURCES) for path in compiled)
 
 
 def test_the_data_folder_is_no_package() -> None:

@@ -32,7 +32,7 @@ def add_line(path: Path) -> None:
         (MAPS, "maps/cache.py", True),
         (MAPS, "maps/ros_map.py", False),
         (MAPS, "homes/procthor.py", False),
-        (MAPS, "analysis/floor_plans.py", False),
+        (MAPS, "analysis/drawing/floor_plans.py", False),
         (MAPS, "planning/pouct.py", False),
         (GENERATOR, "homes/catalogue.yaml", True),
         (GENERATOR, "homes/catalogue.py", True),

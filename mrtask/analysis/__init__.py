@@ -1,1 +1,1 @@
-"""From episodes to answers: statistics, the paper's table, figures, drawn trajectories and the report."""
+"""From episodes to answers: statistics (`results`), pages, drawings, studies and the report of a run."""

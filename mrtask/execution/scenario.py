@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.errors import InputError
-from mrtask.execution.team import Team
+from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home, Point
 from mrtask.likelihood.model import LikelihoodModel

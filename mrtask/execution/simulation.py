@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
-from mrtask.execution.team import Team
+from mrtask.execution.team_spec import Team
 from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import key_seed

@@ -18,7 +18,7 @@ from mrtask.execution.belief import Belief, Seen
 from mrtask.execution.letters import serving_order
 from mrtask.execution.motion import Position, plan_route
 from mrtask.execution.robot import LOST, Robot
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Leg, Letter, Trace
 from mrtask.homes.home import Point
 from mrtask.maps.home_map import HomeMap

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula

@@ -1,6 +1,6 @@
 """Facts on household furniture: which types hold small objects, how large they are, what stands and lies where.
 
-The figures are in ``catalogue.yaml``, derived from ProcTHOR homes by ``python -m pipeline.derive_catalogue``.
+The figures are in ``catalogue.yaml``, derived from ProcTHOR homes by ``python tools/derive_catalogue.py``.
 """
 
 from collections.abc import Mapping, Sequence

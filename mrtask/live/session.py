@@ -15,10 +15,10 @@ from mrtask.errors import InputError
 from mrtask.files import replacing
 from mrtask.homes.home import Point
 from mrtask.live import messages as m
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.orders import task_state, welcome
 from mrtask.live.state import LiveSetup
 from mrtask.live.store import save
-from mrtask.live.team import LiveTeam
 
 MAX_BYTES = 262_144
 MAX_DEPTH = 6

@@ -12,7 +12,7 @@ from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import LOST, Robot
 from mrtask.execution.scenario import free_cell_near
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
 from mrtask.live.barriers import Barrier

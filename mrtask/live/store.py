@@ -16,8 +16,8 @@ from mrtask.execution.motion import Position, plan_route
 from mrtask.execution.robot import Robot
 from mrtask.execution.trace import Leg, Letter
 from mrtask.live.barriers import Barrier, barred_map
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.state import LiveSetup
-from mrtask.live.team import LiveTeam
 from mrtask.planning.problem import Assignment
 
 STATE_VERSION: Final = 2

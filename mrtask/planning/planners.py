@@ -1,7 +1,7 @@
 """The planners by name: what each one is, and how a configuration becomes one.
 
 To add a planner, add an entry to `PLANNERS`: tables, figures and findings follow its role and its place there. Colours
-are not in this table, because they decide no result: `mrtask.analysis.style` has a default for every planner.
+are not in this table, because they decide no result: `mrtask.analysis.page.style` has a default for every planner.
 
 A planner of a user's own needs no entry: its import path (``package.module.name`` of a class or function that takes its
 options as keywords and returns a `Planner`) can be given wherever a name is expected.
@@ -15,7 +15,7 @@ from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
 from mrtask.planning.myopic import learned_myopic, nonlearned_myopic
-from mrtask.planning.paper import PaperOptions, PaperPouct
+from mrtask.planning.paper.planner import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner, PlanOnly
 

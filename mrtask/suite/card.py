@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.statistics import Estimate, compare, paired_costs
+from mrtask.analysis.results.statistics import Estimate, compare, paired_costs
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 BASELINES = ("nonlearned_myopic", "learned_myopic")

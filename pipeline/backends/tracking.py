@@ -36,7 +36,7 @@ from mlflow.models import ModelSignature
 from mlflow.types.schema import ColSpec, DataType, Schema, TensorSpec
 
 import mrtask
-from mrtask.analysis.training_figures import loss_curves, reliability_plot
+from mrtask.analysis.studies.training_figures import loss_curves, reliability_plot
 from mrtask.likelihood.dataset import CARD_FILE, MANIFEST_FILE, Dataset
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.kinds import load_model

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions

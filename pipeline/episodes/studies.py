@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.analysis.bounds.assess import assess
-from mrtask.analysis.calibration import Task, beliefs_of
+from mrtask.analysis.studies.calibration import Task, beliefs_of
+from mrtask.bounds.assess import assess
 from mrtask.likelihood.adapt import Sighting
 from pipeline.episodes.worker import Context, EpisodeKey, bench_of, likelihood_given
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
-    """How far a planner is from optimal in a trial: the row of `mrtask.analysis.bounds.assess`."""
+    """How far a planner is from optimal in a trial: the row of `mrtask.bounds.assess`."""
     bench = bench_of(context)
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
@@ -37,7 +37,7 @@ class HomeTasks:
 
 
 def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
-    """What the team believed at the beginning of each task, see `mrtask.analysis.calibration.beliefs_of`."""
+    """What the team believed at the beginning of each task, see `mrtask.analysis.studies.calibration.beliefs_of`."""
     home = bench_of(context).homes[done.home_id]
 
     def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.planning.planners import make_planner
 from pipeline.app.given import Coordinates, Given
 from pipeline.base.sections import Perception

@@ -17,10 +17,10 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 
 from mrtask.execution.scenario import prior, task_in, with_places
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.session import MAX_BYTES, LiveSession
 from mrtask.live.state import LiveSetup
 from mrtask.live.store import restore
-from mrtask.live.team import LiveTeam
 from mrtask.maps.ros_map import read_ros_map
 from pipeline.app.given import scenario_files
 from pipeline.app.tool import load_options, overrides

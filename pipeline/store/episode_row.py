@@ -24,7 +24,7 @@ class EpisodeRow:
     objects: tuple[str, ...] | None = None
     planner: str
     status: str
-    """One of `mrtask.analysis.episodes.STATUSES`."""
+    """One of `mrtask.analysis.results.episodes.STATUSES`."""
     cost_s: float | None = None
     cost_cells: float | None = None
     decisions: Int32 | None = None

@@ -17,7 +17,7 @@ runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_d
 beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
 """
 
-from mrtask.analysis.report import REPORT_FILE
+from mrtask.analysis.report.report_page import REPORT_FILE
 from pipeline.store.folder import Folder
 
 IDENTITY = "run.json"

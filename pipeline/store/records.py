@@ -320,7 +320,7 @@ class EvaluationManifest(Record):
     """What the cell has of a sweep's values: ``planner.pouct.samples=100``; empty outside sweeps."""
 
     def facts(self, stages: "StageTimes | None" = None) -> dict[str, Any]:
-        """What the report shows, as plain data by the names that `mrtask.analysis.facts` knows."""
+        """What the report shows, as plain data by the names that `mrtask.analysis.report.run_facts` knows."""
         nested = {"version", "model", "model_name", "homes", "reach"}
         homes = self.homes.model_dump(mode="json") | {
             "training": self.model.training_homes if self.model else None,

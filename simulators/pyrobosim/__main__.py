@@ -21,7 +21,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from mrtask.errors import InputError
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
 from mrtask.homes.generator.homes import generate_homes
 from mrtask.homes.home import SIZE_CLASSES, Home

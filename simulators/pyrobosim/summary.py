@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.statistics import BASELINES, Estimate, compare, paired_costs
-from mrtask.analysis.style import planner_label
+from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.results.statistics import BASELINES, Estimate, compare, paired_costs
 from mrtask.planning.planners import planners_in_order
 
 Row = Mapping[str, Any]

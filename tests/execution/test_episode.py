@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrtask.execution.episode import run_episode
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrtask.execution.episode import IDLE_DECISIONS_PER_ROBOT, run_episode
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import Trial
 from mrtask.planning.planners import PLANNERS
 

@@ -14,7 +14,7 @@ import pytest
 
 from mrtask.execution import episode
 from mrtask.execution.simulation import Simulation
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import home_order, sample_trial
 from mrtask.homes.home import Container, Home
 from mrtask.maps.home_map import build_map

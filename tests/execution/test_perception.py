@@ -9,7 +9,7 @@ import pytest
 from mrtask.execution.belief import GIVEN_UP_ODDS, Belief, prior_belief
 from mrtask.execution.episode import run_episode
 from mrtask.execution.perception import Perception, Rates
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
 from mrtask.planning.planners import PLANNERS

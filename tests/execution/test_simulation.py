@@ -5,7 +5,7 @@ import pytest
 
 from mrtask.execution.letters import serving_order
 from mrtask.execution.simulation import Simulation
-from mrtask.execution.team import RobotSpec, Team
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.planning.problem import WAIT, Assignment
 from mrtask.tasks.automaton import build_automaton
 

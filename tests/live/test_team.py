@@ -10,12 +10,12 @@ from pydantic import TypeAdapter
 
 from mrtask.errors import InputError
 from mrtask.execution.perception import Perception, Rates
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.messages import Event
 from mrtask.live.orders import task_state
 from mrtask.live.state import LiveSetup
 from mrtask.live.store import StateError, restore, save
-from mrtask.live.team import LiveTeam
 from mrtask.maps.home_map import build_map
 from mrtask.tasks.words import ReadTask
 from tests.live.twins import HONEST, check_twins, play, sample

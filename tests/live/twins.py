@@ -9,7 +9,7 @@ import numpy as np
 
 from mrtask.execution.episode import run_episode
 from mrtask.execution.perception import Perception, Rates
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, home_order, key_seed, sample_trial
 from mrtask.planning.planners import PLANNERS
 from tests.live.world import World, live_team, setup_of

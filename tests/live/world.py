@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mrtask.live import messages as m
+from mrtask.live.live_team import LiveTeam
 from mrtask.live.state import LiveSetup
-from mrtask.live.team import LiveTeam
 from mrtask.tasks.words import ReadTask
 
 

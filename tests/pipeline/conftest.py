@@ -10,7 +10,8 @@ import mlflow
 import pytest
 from hydra._internal.hydra import Hydra
 
-from mrtask.analysis import exhibits, sensitivity
+from mrtask.analysis.page import exhibits
+from mrtask.analysis.studies import sensitivity
 from pipeline.backends import tracking
 from tests.pipeline.harness import ROOT, SMALL, Cli, Finished, Workspace, run_stage
 

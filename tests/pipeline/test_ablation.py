@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mrtask.analysis.ablation import COMPARED
+from mrtask.analysis.studies.ablation import COMPARED
 from pipeline.ablation import AUTHORS, PAPER, WHAT, protocols
 from pipeline.arms import SharedRun, lay_out
 from pipeline.base.config import Config, UserError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mrtask.analysis.realism import KINDS, NUMBERS
+from mrtask.analysis.studies.realism import KINDS, NUMBERS
 from mrtask.homes.generator.house import generate_house
 from tests.pipeline.harness import Cli
 

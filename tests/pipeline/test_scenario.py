@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from mrtask.analysis.published import load_published
+from mrtask.analysis.results.published import load_published
 from mrtask.errors import InputError
 from mrtask.execution.episode import run_episode
 from mrtask.execution.scenario import drawn_worlds, make_scenario
-from mrtask.execution.team import Team
+from mrtask.execution.team_spec import Team
 from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import read_ros_map
 from pipeline import scenario

@@ -1,7 +1,8 @@
 """The paper's belief-state abstraction: concurrent actions <container, object> and their outcomes (Algorithm 1).
 
 A team belief is advanced until the first robot is free again: it did not find its object, or it found it and finished
-interacting. This is the readable form; `mrtask.planning.paper_kernel` draws one outcome of the same distribution.
+interacting. This is the readable form; `mrtask.planning.paper.search_kernel` draws one outcome of the same
+distribution.
 """
 
 from dataclasses import dataclass, replace

@@ -15,7 +15,7 @@ import numpy as np
 
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import ANY_SAFE, WAIT
-from mrtask.planning.team import stuck_penalty_s
+from mrtask.planning.team_model import stuck_penalty_s
 from tests.planning.exact_paper_solver import ExactPaperSolver
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import tiny_problem

@@ -1,4 +1,4 @@
-"""The search of `pouct_paper` in plain Python: the twin of `mrtask.planning.paper_kernel`.
+"""The search of `pouct_paper` in plain Python: the twin of `mrtask.planning.paper.search_kernel`.
 
 Beliefs are dictionaries and lists, the tree is made of objects, and random numbers come from `naive_random`. Sums are
 added up in the kernel's order, so that results are equal to the last bit.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mrtask.planning.pouct import PouctOptions
-from mrtask.planning.team import team_model
+from mrtask.planning.team_model import team_model
 from tests.planning.exact_solver import Robot as SolverRobot
 from tests.planning.exact_solver import State
 from tests.planning.naive_pouct import NaivePouct

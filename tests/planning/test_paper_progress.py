@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrtask.planning.paper import PaperOptions, PaperPouct
+from mrtask.planning.paper.planner import PaperOptions, PaperPouct
 from mrtask.planning.problem import PlanningProblem, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mrtask.planning import compiled as compiling
-from mrtask.planning import paper_action_kernel, paper_leaf_kernel
-from mrtask.planning import paper_kernel as kernel
 from mrtask.planning.compiled import compiled
-from mrtask.planning.paper import PaperOptions, PaperSearch
-from mrtask.planning.paper_team import blank_belief
+from mrtask.planning.paper import action_kernel, leaf_kernel
+from mrtask.planning.paper import search_kernel as kernel
+from mrtask.planning.paper.paper_model import blank_belief
+from mrtask.planning.paper.planner import PaperOptions, PaperSearch
 from mrtask.planning.problem import RobotStatus
 from mrtask.planning.tree import edges_of
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
@@ -20,7 +20,7 @@ from tests.planning.problems import random_problem, tiny_problem
 act, any_undecided, copy_belief = compiled(kernel.act), compiled(kernel.any_undecided), compiled(kernel.copy_belief)
 decision_node, mark_undecided = compiled(kernel.decision_node), compiled(kernel.mark_undecided)
 may_wait, sample_outcome = compiled(kernel.may_wait), compiled(kernel.sample_outcome)
-next_action, rest_s = compiled(paper_action_kernel.next_action), compiled(paper_leaf_kernel.rest_s)
+next_action, rest_s = compiled(action_kernel.next_action), compiled(leaf_kernel.rest_s)
 random_unit = compiled(compiling.random_unit)
 
 

@@ -6,8 +6,8 @@ import pytest
 from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
-from mrtask.planning.team import team_model
 from mrtask.planning.team_kernel import history_after
+from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.problems import make_problem, random_problem

@@ -7,7 +7,7 @@ from mrtask.planning import pouct
 from mrtask.planning.greedy import Greedy
 from mrtask.planning.pouct import Pouct, PouctOptions
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment
-from mrtask.planning.team import team_model
+from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.naive_pouct import NaivePouct
 from tests.planning.problems import random_problem

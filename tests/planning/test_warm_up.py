@@ -12,7 +12,8 @@ from mrtask.planning.warm_up import Compilation, kernels_missing
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_COMPILING = """
-from mrtask.planning import greedy, warm_up
+from mrtask.planning import greedy
+from mrtask.planning import warm_up
 warm_up.compile_kernels({"greedy": ("greedy", {})})
 assert greedy._assign.stats.cache_hits and not greedy._assign.stats.cache_misses, greedy._assign.stats
 """

@@ -5,7 +5,7 @@ from math import hypot
 import numpy as np
 import pytest
 
-from mrtask.execution.team import RobotSpec
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, sample_trial
 from mrtask.homes.generator.homes import generate_home
 from mrtask.homes.home import Container, Door, Home, Room

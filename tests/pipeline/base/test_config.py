@@ -8,7 +8,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import TrainingOptions
-from mrtask.planning.paper import PaperOptions
+from mrtask.planning.paper.planner import PaperOptions
 from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline import train

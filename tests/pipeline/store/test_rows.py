@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from mrtask.analysis.episodes import REQUIRED_COLUMNS
+from mrtask.analysis.results.episodes import REQUIRED_COLUMNS
 from pipeline.base.config import UserError
 from pipeline.store import rows as results
 from pipeline.store.episode_row import SCHEMA, EpisodeRow

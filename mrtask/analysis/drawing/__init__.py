@@ -1,0 +1,1 @@
+"""Homes, tasks and episodes as drawings: floor plans, trajectories and replays."""

@@ -1,0 +1,323 @@
+"""An episode to be watched: what each planner's robots did, what the team believed, and why each plan was chosen.
+
+The record is made from an episode's trace, which every row keeps, and from its decisions, which a run of the same
+episode tells to a `Recorder`. Without decisions it still shows the drives, what was found, and the task's progress.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from string import ascii_lowercase
+
+import numpy as np
+
+from mrtask.analysis.page.style import planner_label
+from mrtask.execution.trace import Trace
+from mrtask.homes.home import Home, Point
+from mrtask.planning.problem import (
+    ANY_SAFE,
+    WAIT,
+    Assignment,
+    BoolArray,
+    FloatArray,
+    Plan,
+    PlanningProblem,
+    RobotStatus,
+)
+from mrtask.tasks.automaton import Automaton
+from mrtask.tasks.templates import TEMPLATES
+
+MAX_CANDIDATES = 12
+"""Of a decision's candidate actions, the most visited are listed."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A decision as it was taken."""
+
+    t_s: float
+    problem: PlanningProblem
+    plan: Plan
+
+
+@dataclass
+class Recorder:
+    """Keeps the decisions of an episode; an `mrtask.execution.episode.Observer`."""
+
+    decisions: list[Observed] = field(default_factory=list)
+
+    def __call__(self, t_s: float, problem: PlanningProblem, plan: Plan) -> None:
+        """Keeps one decision."""
+        self.decisions.append(Observed(t_s, problem, plan))
+
+
+@dataclass(frozen=True)
+class Action:
+    """What one robot does after a decision. ``given`` by this decision, or kept from an earlier one."""
+
+    robot: int
+    container: int
+    """-1: waits."""
+    text: str
+    given: bool
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One action that the search considered for the robot that it decided first."""
+
+    text: str
+    visits: int
+    mean_s: float
+    spread_s: float
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A decision: what the team believed, what was weighed and what was chosen."""
+
+    t_s: float
+    belief: FloatArray
+    """[C, O], see `existence_belief`."""
+    actions: tuple[Action, ...]
+    samples: int
+    robot: int
+    """Whose candidates are listed; -1 where there are none."""
+    candidates: tuple[Candidate, ...]
+    unlisted: int
+    """Candidates that are not listed, because they were visited less."""
+    expected_s: float | None
+    """What the planner expected the rest to take; None where it expects nothing."""
+    remaining_s: float | None
+    """What the rest took; None where the task was not finished."""
+
+
+@dataclass(frozen=True)
+class Find:
+    """A searched container and the task objects (by index) that were in it."""
+
+    t_s: float
+    robot: int
+    container: int
+    objects: tuple[int, ...]
+    place: Point
+    """Where the robot stood."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One planner's episode."""
+
+    planner: str
+    status: str
+    cost_s: float | None
+    error: str | None
+    trace: Trace
+    finds: tuple[Find, ...]
+    states: tuple[tuple[float, int], ...]
+    """``(time in s, automaton state from then on)``."""
+    decisions: tuple[Decision, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What the page calls the planner."""
+        return planner_label(self.planner)
+
+    @property
+    def end_s(self) -> float:
+        """When the last robot stopped."""
+        legs = [leg.t1_s for robot in self.trace.robots for leg in robot]
+        return max([*legs, *(letter.t_s for letter in self.trace.letters), self.cost_s or 0.0], default=0.0)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One trial with the episodes of one or more planners."""
+
+    trial_id: str
+    size_class: str
+    formula: str
+    task: str
+    """The formula in words."""
+    home: Home
+    names: tuple[str, ...]
+    """Of the containers, in their order; no two alike."""
+    automaton: Automaton
+    runs: tuple[Run, ...]
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The task's objects."""
+        return self.automaton.propositions
+
+    @property
+    def robots(self) -> int:
+        """How many robots the team has."""
+        return max((len(run.trace.robots) for run in self.runs), default=0)
+
+    @property
+    def end_s(self) -> float:
+        """When the last of the runs ended."""
+        return max((run.end_s for run in self.runs), default=0.0)
+
+    def holds(self) -> BoolArray:
+        """[C, O] which container holds which task object."""
+        return np.array(
+            [[name in container.objects for name in self.objects] for container in self.home.containers], dtype=bool
+        ).reshape(len(self.home.containers), len(self.objects))
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What a run of a replay is made from: the row's outcome, its trace, and its decisions if they were recorded."""
+
+    planner: str
+    status: str
+    cost_s: float | None
+    error: str | None
+    trace: Trace
+    decisions: Sequence[Observed] = ()
+
+
+def make_replay(
+    trial_id: str, size_class: str, template: str, automaton: Automaton, home: Home, episodes: Sequence[Episode]
+) -> Replay:
+    """The replay of a trial with these planners' episodes, in their order.
+
+    Raises:
+        ValueError: a trace names a container or an object that the home or the task does not have.
+    """
+    names = container_names(home)
+    return Replay(
+        trial_id=trial_id,
+        size_class=size_class,
+        formula=automaton.formula,
+        task=task_in_words(template, automaton.formula, automaton.propositions),
+        home=home,
+        names=names,
+        automaton=automaton,
+        runs=tuple(_run(episode, automaton, home, names) for episode in episodes),
+    )
+
+
+def existence_belief(presence_prob: FloatArray, searched: BoolArray) -> FloatArray:
+    """[C, O] the probability that each container holds each object, given that every object exists somewhere.
+
+    That is the belief of a planner who knows that the task can be done: each container searched in vain makes the
+    others likelier. An object that was found needs no such inference.
+    """
+    found = ((presence_prob > 0) & searched[:, None]).any(axis=0)
+    somewhere = 1.0 - np.prod(np.where(searched[:, None], 1.0, 1.0 - presence_prob), axis=0)
+    belief: FloatArray = np.where(
+        found | (somewhere <= 0), presence_prob, presence_prob / np.where(somewhere > 0, somewhere, 1.0)
+    )
+    return belief
+
+
+def task_in_words(template: str, formula: str, objects: Sequence[str]) -> str:
+    """``Mug or Book, then Plate, then Fork`` for a template's formula; any other formula as it is."""
+    if template not in TEMPLATES or len(objects) != TEMPLATES[template].arity:
+        return formula
+    words: Mapping[str, str] = dict(zip(ascii_lowercase, objects, strict=False))
+    return re.sub(r"\b[a-d]\b", lambda letter: words[letter[0]], TEMPLATES[template].meaning)
+
+
+def container_names(home: Home) -> tuple[str, ...]:
+    """``Fridge``, ``Chair 1``, ``Chair 2``: the type, numbered where the home has several."""
+    types = [container.type for container in home.containers]
+    seen: dict[str, int] = {}
+    names = []
+    for kind in types:
+        seen[kind] = seen.get(kind, 0) + 1
+        names.append(kind if types.count(kind) == 1 else f"{kind} {seen[kind]}")
+    return tuple(names)
+
+
+def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str]) -> Run:
+    trace = episode.trace
+    place = {container.id: index for index, container in enumerate(home.containers)}
+    unknown = {leg.container for legs in trace.robots for leg in legs if leg.container} - place.keys()
+    if unknown:
+        raise ValueError(f"the trace of {episode.planner} names {sorted(unknown)[0]!r}, which home {home.id} lacks")
+    finds = sorted(
+        (
+            Find(
+                leg.t1_s,
+                robot,
+                place[leg.container],
+                tuple(
+                    index
+                    for index, name in enumerate(automaton.propositions)
+                    if name in home.containers[place[leg.container]].objects
+                ),
+                leg.path[0],
+            )
+            for robot, legs in enumerate(trace.robots)
+            for leg in legs
+            if leg.kind == "search" and leg.container
+        ),
+        key=lambda find: (find.t_s, find.robot),
+    )
+    states = [(0.0, automaton.initial)]
+    for letter in trace.letters:
+        states.append((letter.t_s, automaton.run([letter.object], states[-1][1])))
+    return Run(
+        planner=episode.planner,
+        status=episode.status,
+        cost_s=episode.cost_s,
+        error=episode.error,
+        trace=trace,
+        finds=tuple(finds),
+        states=tuple(states),
+        decisions=tuple(_decision(observed, episode.cost_s, names) for observed in episode.decisions),
+    )
+
+
+def _decision(observed: Observed, cost_s: float | None, names: Sequence[str]) -> Decision:
+    problem, plan = observed.problem, observed.plan
+    objects = problem.automaton.propositions
+    first, rows = plan.info.root_robot, plan.info.root
+    chosen = next((index for index, row in enumerate(rows) if row[0] == plan.assignments.get(first)), -1)
+    listed = list(range(min(len(rows), MAX_CANDIDATES)))
+    if chosen >= MAX_CANDIDATES:
+        listed[-1] = chosen
+    return Decision(
+        t_s=observed.t_s,
+        belief=existence_belief(problem.presence_prob, problem.searched),
+        actions=tuple(
+            _action(index, status, plan.assignments.get(index), names, objects)
+            for index, status in enumerate(problem.robots)
+        ),
+        samples=plan.info.samples,
+        robot=first,
+        candidates=tuple(
+            Candidate(_told(rows[index][0], names, objects), *rows[index][1:], chosen=index == chosen)
+            for index in listed
+        ),
+        unlisted=len(rows) - len(listed),
+        expected_s=plan.info.value_s if np.isfinite(plan.info.value_s) else None,
+        remaining_s=None if cost_s is None else cost_s - observed.t_s,
+    )
+
+
+def _action(
+    robot: int, status: RobotStatus, given: Assignment | None, names: Sequence[str], objects: Sequence[str]
+) -> Action:
+    if given is not None:
+        return Action(robot, given.container, _told(given, names, objects), True)
+    if status.target >= 0:
+        return Action(robot, status.target, f"on to {names[status.target]}", False)
+    if status.interacting >= 0:
+        return Action(robot, status.place, f"goes on with {objects[status.interacting]}", False)
+    if status.free:
+        return Action(robot, WAIT, "waits", False)
+    return Action(robot, status.place, f"goes on searching {names[status.place]}", False)
+
+
+def _told(assignment: Assignment, names: Sequence[str], objects: Sequence[str]) -> str:
+    """``Fridge``, ``Fridge for Egg`` or ``wait``."""
+    if assignment.container == WAIT:
+        return "wait"
+    name = names[assignment.container]
+    return name if assignment.interaction == ANY_SAFE else f"{name} for {objects[assignment.interaction]}"

@@ -1,0 +1,143 @@
+"""What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import pandas as pd
+
+from mrtask.analysis.drawing.trajectories import Pick
+from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.report.answer import find, mixture_warnings
+from mrtask.analysis.report.coordination import Coordination, coordination
+from mrtask.analysis.report.linked_replays import Replays, play
+from mrtask.analysis.report.run_facts import Manifest, ModelFacts, missing_episodes, model_facts
+from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
+from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
+from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
+from mrtask.analysis.results.published import Published, load_published
+from mrtask.analysis.results.statistics import Summary, main_planner, summarise
+from mrtask.homes.home import Home
+from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
+
+REPLAYS = "replays"
+SAFE_NAME = re.compile(r"[\w-]+")
+"""Trial ids that can name a file."""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """A run; of a sweep, all its variants, of which the last is shown in full."""
+
+    episodes: pd.DataFrame
+    """The checked episodes of all variants; see `mrtask.analysis.results.episodes.checked_episodes`."""
+    manifest: Manifest
+    homes: Mapping[str, Home]
+    """Home id -> home, of those to be drawn."""
+    summaries: Mapping[Variant, Summary]
+    """By variant, in order; one, named by the empty text, without a sweep."""
+    published: Published
+    optimality: Sequence[CellOptimality] = ()
+    """How far planners are from optimal, where that was measured."""
+
+    @property
+    def shown(self) -> Variant:
+        """The variant that is shown in full."""
+        return list(self.summaries)[-1]
+
+    @property
+    def summary(self) -> Summary:
+        """The statistics of the variant shown."""
+        return self.summaries[self.shown]
+
+    @cached_property
+    def rows(self) -> pd.DataFrame:
+        """The episodes of the variant shown."""
+        return rows_of(self.episodes, self.shown)
+
+    @property
+    def planner(self) -> str | None:
+        """The planner that the report is about; None without episodes."""
+        return main_planner(self.summary.planners, self.manifest.get("main_planner"))
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """The planners that the paper's claims are judged on: the paper's, and the main one if it is under study."""
+        main = self.planner
+        ours = main is not None and main != PAPERS_PLANNER and planner_role(main) is Role.OURS
+        return (PAPERS_PLANNER, main) if main is not None and ours else (PAPERS_PLANNER,)
+
+    @cached_property
+    def coordination(self) -> dict[str, Coordination]:
+        """Of the planners judged, those whose traces can show whether robots wait and go on."""
+        found = {name: coordination(self.rows, name) for name in self.judged}
+        return {name: one for name, one in found.items() if one is not None}
+
+    @cached_property
+    def picks(self) -> list[Pick]:
+        """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
+        picks = notable_trials(self.rows, self.planner)
+        shown = self.coordination.get(self.planner or "")
+        if shown is None or "home_id" not in self.rows.columns:
+            return picks
+        home_of = dict(zip(self.rows["trial_id"], self.rows["home_id"].astype(str), strict=True))
+        for what, trials in (("a robot waits", shown.waits), ("a robot goes on", shown.goes_on)):
+            picked = {pick.trial_id for pick in picks}
+            picks += [Pick(trial, home_of[trial], what) for trial in trials if trial not in picked][:1]
+        return picks
+
+    @cached_property
+    def played(self) -> Replays:
+        """The replays of the picks."""
+        picks = [pick for pick in self.picks if SAFE_NAME.fullmatch(pick.trial_id)]
+        return play(self.rows, compared_planners(self.rows, self.planner), picks, self.homes)
+
+    @property
+    def replays(self) -> dict[str, str]:
+        """Trial id -> the page of its replay, beside the report."""
+        return {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in self.played.pages}
+
+    @cached_property
+    def findings(self) -> Findings:
+        """The answer for the variant shown."""
+        return find(self.summary, self.published, self.planner)
+
+    @cached_property
+    def model(self) -> ModelFacts:
+        """The likelihood model that the planners used."""
+        return model_facts(self.manifest, self.episodes)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Everything that a reader should know before trusting the answer."""
+        of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
+        warnings = [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
+        return [*warnings, *self.played.unplayable]
+
+
+def collect_report_data(
+    episodes: pd.DataFrame, manifest: Manifest, homes: Mapping[str, Home], optimality: pd.DataFrame | None = None
+) -> ReportData:
+    """Checks the episodes and computes their statistics.
+
+    Args:
+        optimality: the rows of `mrtask.bounds.assess`, where there are any.
+
+    Raises:
+        ValueError: the episodes are not what `checked_episodes` demands.
+    """
+    checked = checked_episodes(episodes)
+    summaries = {variant: summarise(rows_of(checked, variant)) for variant in variants_of(checked)}
+    from_optimal = summarise_optimality(optimality) if optimality is not None else ()
+    return ReportData(checked, manifest, homes, summaries, load_published(), from_optimal)
+
+
+def variants_of(episodes: pd.DataFrame) -> list[Variant]:
+    """The variants of checked episodes in order; the one unnamed variant where there are no episodes."""
+    return variants_in_order(episodes) or [""]
+
+
+def rows_of(episodes: pd.DataFrame, variant: Variant) -> pd.DataFrame:
+    """The checked episodes of one variant."""
+    return episodes[episodes["variant"] == variant]

@@ -1,0 +1,141 @@
+"""The report: one ``index.html`` that holds everything it shows and needs no network, and files for others beside it.
+
+It opens with the answer, in words computed from the data; the sections below are listed in
+`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from mrtask.analysis.page.exhibits import Content
+from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.page.templating import render_fragment, script_digest, template_text
+from mrtask.analysis.report.for_papers import paper_files
+from mrtask.analysis.report.planner_table import result_table
+from mrtask.analysis.report.report_data import ReportData, collect_report_data, rows_of, variants_of
+from mrtask.analysis.report.sections import SECTIONS, Section
+from mrtask.analysis.report.trial_browser import compared_planners, mapped_trials
+from mrtask.analysis.results.episodes import checked_episodes
+from mrtask.analysis.results.statistics import main_planner
+from mrtask.files import replacing
+from mrtask.homes.home import Home
+from mrtask.planning.planners import PAPERS_PLANNER
+
+REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
+
+
+@dataclass(frozen=True)
+class TrialsToDraw:
+    """The trials whose traces the report needs, of these planners, and the homes that they are in."""
+
+    trial_ids: frozenset[str]
+    home_ids: frozenset[str]
+    planners: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The content of the files."""
+
+    page: str
+    table: pd.DataFrame
+    """What `mrtask.analysis.report.planner_table.result_table` has."""
+    extras: Mapping[str, bytes] = field(default_factory=dict)
+    """Relative path -> content of what lies beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
+
+
+def render_report(
+    episodes: pd.DataFrame,
+    manifest: Mapping[str, Any],
+    homes: Mapping[str, Home],
+    optimality: pd.DataFrame | None = None,
+) -> Report:
+    """The report of a run, or of a sweep.
+
+    Args:
+        episodes: one row per (trial, planner); see `mrtask.analysis.results.episodes.REQUIRED_COLUMNS`. A ``sweep``
+            column tells a sweep's variants apart.
+        manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
+            ...``; `mrtask.analysis.report.run_facts` reads it, and all of it is optional.
+        homes: home id -> home, for drawing; trials in other homes are not drawn. `trials_to_draw` names those needed.
+        optimality: one row per trial whose lower bound was computed; see `mrtask.bounds.assess`.
+
+    Raises:
+        ValueError: a column is missing, or the episodes contradict each other.
+    """
+    data = collect_report_data(episodes, manifest, homes, optimality)
+    contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
+    return Report(
+        render_page(data, contents),
+        result_table(data.summaries, data.published),
+        {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
+        | paper_files(list(contents.values())),
+    )
+
+
+def write_report(report: Report, out_dir: Path) -> Path:
+    """Writes ``table.csv`` and ``index.html`` into ``out_dir`` and returns the path of the latter.
+
+    An earlier file is replaced only by a whole new one.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    table = report.table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (REPORT_FILE, report.page.encode())):
+        with replacing(out_dir / name) as path:
+            path.write_bytes(content)
+    return out_dir / REPORT_FILE
+
+
+def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
+    """The HTML page: the answer, then the sections."""
+    experiment = data.manifest.get("experiment")
+    sections = [
+        {
+            "anchor": section.anchor,
+            "link": section.link,
+            "title": section.title,
+            "body": content.html,
+            "in_short": content.in_short,
+        }
+        for section, content in contents.items()
+    ]
+    script = template_text("report.js")
+    return render_fragment(
+        "page",
+        script=Markup(script),
+        script_digest=script_digest(script),
+        title=f"mrtask: experiment {experiment}" if experiment else "mrtask: report",
+        question=_question(data.planner),
+        findings=data.findings,
+        warnings=data.warnings,
+        variants=len(data.summaries),
+        shown=data.shown,
+        sections=sections,
+        episodes=len(data.episodes),
+    )
+
+
+def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> TrialsToDraw:
+    """What the report of these episodes draws, so that no other home or trace needs to be loaded."""
+    checked = checked_episodes(episodes)
+    rows = rows_of(checked, variants_of(checked)[-1])
+    planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
+    if planner is None or "home_id" not in rows.columns:
+        return TrialsToDraw(frozenset(), frozenset(), ())
+    trials = mapped_trials(rows, planner)
+    homes = rows.loc[rows["trial_id"].isin(trials), "home_id"].dropna().astype(str)
+    papers = [PAPERS_PLANNER] if (rows["planner"] == PAPERS_PLANNER).any() else []
+    planners = dict.fromkeys((*compared_planners(rows, planner), *papers))
+    return TrialsToDraw(frozenset(trials), frozenset(homes), tuple(planners))
+
+
+def _question(planner: str | None) -> str:
+    who = f"the planner {planner_label(planner)}" if planner else "the learning-informed planner"
+    return f"Does {who} beat the baselines, by how much, and how does that compare with the published results?"

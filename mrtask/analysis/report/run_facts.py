@@ -1,0 +1,252 @@
+"""What the report says besides results: the likelihood model, the homes, the run and what went wrong in it.
+
+A manifest is the JSON that a run writes; every key is optional, and what is missing is not shown.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pandas as pd
+
+from mrtask.analysis.page.columns import Column, Entry, Row, Table, make_table
+from mrtask.analysis.page.style import NOTHING, planner_label, seconds
+
+Manifest = Mapping[str, Any]
+Fact = tuple[str, str]
+
+METRICS = {
+    "log_loss": ("log loss", "lower"),
+    "best_log_loss": ("log loss that no model of names can beat", ""),
+    "roc_auc": ("ROC AUC", "higher"),
+    "average_precision": ("average precision", "higher"),
+    "brier": ("Brier score", "lower"),
+    "ece": ("expected calibration error", "lower"),
+}
+"""Metric -> name and whether a higher or a lower value is better, in the order shown."""
+DECIDING = ("log_loss", "roc_auc")
+"""The first of these that both models have decides which model is better."""
+MAX_REASONS = 25
+MAX_REASON_CHARS = 240
+
+
+@dataclass(frozen=True)
+class ModelFacts:
+    """The likelihood model: what it is, how good, and a warning where a frequency table is as good."""
+
+    facts: tuple[Fact, ...]
+    metrics: Table | None
+    warning: str | None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The episodes that ended with one status for one reason."""
+
+    status: str
+    reason: str
+    episodes: int
+    trials: int
+    planners: tuple[str, ...]
+    first_trial: str
+
+
+FAILURE_COLUMNS = (
+    Column[Failure](lambda failure: failure.status, ("", "status")),
+    Column[Failure](lambda failure: failure.episodes, ("", "episodes")),
+    Column[Failure](lambda failure: failure.trials, ("", "trials")),
+    Column[Failure](lambda failure: ", ".join(map(planner_label, failure.planners)), ("", "planners"), tone="text"),
+    Column[Failure](lambda failure: failure.first_trial, ("", "first trial")),
+)
+
+
+def part(manifest: Manifest, key: str) -> Manifest:
+    """A nested part of the manifest; empty where it is missing or no mapping."""
+    value = manifest.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> ModelFacts:
+    """Facts on the model that the planners used."""
+    model = part(manifest, "model")
+    version = model.get("version")
+    if version is None and "model_version" in episodes.columns:
+        version = ", ".join(sorted(episodes["model_version"].dropna().astype(str).unique())) or None
+    champion = model.get("champion")
+    listed = [
+        ("name", model.get("name")),
+        ("version", version),
+        ("champion", None if champion is None else "yes" if champion else "no"),
+        ("kind", model.get("kind")),
+        ("embedding", model.get("embedding")),
+        ("training homes", model.get("training_homes")),
+        ("held-back homes of the metrics", model.get("test_homes")),
+        ("run", model.get("run_id")),
+        ("note", model.get("note")),
+    ]
+    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
+    return ModelFacts(facts=_shown(listed), metrics=_metric_table(own, frequency), warning=_model_warning(model))
+
+
+def beats_frequency(model: Manifest) -> bool | None:
+    """Whether the model is better than the frequency table on held-back homes; None where that is unknown."""
+    if isinstance(model.get("beats_frequency"), bool):
+        return bool(model["beats_frequency"])
+    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
+    for metric in DECIDING:
+        values = _number(own.get(metric)), _number(frequency.get(metric))
+        if values[0] is not None and values[1] is not None:
+            return values[0] < values[1] if METRICS[metric][1] == "lower" else values[0] > values[1]
+    return None
+
+
+def homes_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
+    """Facts on the homes: where they come from, how many, how much of them robots reach."""
+    homes = part(manifest, "homes")
+    share = _number(homes.get("reachable_share"))
+    ran = episodes["home_id"].nunique() if "home_id" in episodes.columns else None
+    listed = [
+        ("source", homes.get("source")),
+        ("files", _text(homes.get("files"))),
+        ("read", homes.get("read")),
+        ("training", homes.get("training")),
+        ("for evaluation", homes.get("evaluated")),
+        ("for evaluation, by size class", _text(homes.get("by_size_class"))),
+        ("in the episodes", ran),
+        ("containers", homes.get("containers")),
+        ("containers that a robot can reach", None if share is None else f"{100 * share:.2f} %"),
+        ("skipped", _text(homes.get("skipped"))),
+    ]
+    return _shown(listed)
+
+
+def run_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
+    """Facts on the run: command, versions, seed, time."""
+    stages = {name: seconds(s) for name, value in part(manifest, "stages").items() if (s := _number(value)) is not None}
+    wall_s, peak_mb = _number(manifest.get("wall_s")), _number(manifest.get("peak_memory_mb"))
+    listed = [
+        ("experiment", manifest.get("experiment")),
+        ("command", manifest.get("command")),
+        ("started", manifest.get("started")),
+        ("wall time", None if wall_s is None else seconds(wall_s)),
+        ("grown, by what was asked for", "; then ".join(manifest.get("grown") or ())),
+        ("stages", _text(stages)),
+        ("seed", manifest.get("seed")),
+        ("planners", _text(manifest.get("planners"))),
+        ("planner options", _text(manifest.get("planner_options"))),
+        ("configuration", _from_rows(manifest, episodes, "config_hash")),
+        ("code version", _from_rows(manifest, episodes, "code_version")),
+        ("machine", _text(manifest.get("machine"))),
+        ("peak memory", None if peak_mb is None else f"{peak_mb:,.0f} MB"),
+        ("output", manifest.get("output_dir")),
+    ]
+    return _shown(listed)
+
+
+def missing_episodes(manifest: Manifest, episodes: pd.DataFrame) -> str | None:
+    """A warning where the run has fewer episodes than were planned."""
+    expected = _number(manifest.get("expected_episodes"))
+    if expected is None or len(episodes) >= expected:
+        return None
+    return f"{int(expected) - len(episodes)} of {int(expected)} episodes are missing: the evaluation has not finished."
+
+
+def failure_table(episodes: pd.DataFrame) -> Table | None:
+    """Episodes without a result by status and reason, most frequent first; None where all were accepted."""
+    failures = _failures(episodes)
+    if not failures:
+        return None
+    shown, others = failures[:MAX_REASONS], failures[MAX_REASONS:]
+    table = make_table(FAILURE_COLUMNS, [(failure.reason or "no reason given", failure) for failure in shown])
+    if not others:
+        return table
+    entries = (Entry(NOTHING), Entry(str(sum(failure.episodes for failure in others))), *[Entry(NOTHING)] * 3)
+    return replace(table, rows=(*table.rows, Row(f"{len(others)} other reasons", entries)))
+
+
+def _failures(episodes: pd.DataFrame) -> list[Failure]:
+    rows = episodes[episodes["status"] != "accepted"]
+    if rows.empty:
+        return []
+    reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
+    failures = [
+        Failure(
+            status=str(status),
+            reason=str(reason),
+            episodes=len(group),
+            trials=group["trial_id"].nunique(),
+            planners=tuple(sorted(set(group["planner"]))),
+            first_trial=min(group["trial_id"]),
+        )
+        for (status, reason), group in rows.assign(reason=reasons).groupby(["status", "reason"])
+    ]
+    return sorted(failures, key=lambda failure: (-failure.episodes, failure.status, failure.reason))
+
+
+def config_text(manifest: Manifest) -> str | None:
+    """The configuration as indented JSON."""
+    config = part(manifest, "config")
+    return json.dumps(config, indent=2, default=str, ensure_ascii=False) if config else None
+
+
+def _model_warning(model: Manifest) -> str | None:
+    if beats_frequency(model) is not False:
+        return None
+    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
+    shown = [
+        f"{METRICS[metric][0]} {value:.4f} against {other:.4f}"
+        for metric in DECIDING
+        if (value := _number(own.get(metric))) is not None and (other := _number(frequency.get(metric))) is not None
+    ]
+    figures = f" ({', '.join(shown)})" if shown else ""
+    return f"The likelihood model does not beat the frequency table on held-back homes{figures}."
+
+
+def _metric_table(own: Manifest, frequency: Manifest) -> Table | None:
+    rows = []
+    for metric, (name, better) in METRICS.items():
+        values = _number(own.get(metric)), _number(frequency.get(metric))
+        if values != (None, None):
+            entries = tuple(Entry(NOTHING if value is None else f"{value:.4f}") for value in values)
+            rows.append(Row(f"{name} ({better} is better)" if better else name, entries))
+    return Table((("", "this model"), ("", "frequency table")), tuple(rows)) if rows else None
+
+
+def _shown(listed: Sequence[tuple[str, object]]) -> tuple[Fact, ...]:
+    return tuple((name, str(value)) for name, value in listed if value is not None and value != "")
+
+
+def _from_rows(manifest: Manifest, episodes: pd.DataFrame, column: str) -> object:
+    if manifest.get(column) is not None or column not in episodes.columns:
+        return manifest.get(column)
+    return ", ".join(sorted(episodes[column].dropna().astype(str).unique()))
+
+
+def _text(value: object) -> str | None:
+    """Lists as ``a, b``, mappings as ``a: 1, b: 2``."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {_nested(each)}" for key, each in value.items() if each not in (None, {}, []))
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return None if value is None else str(value)
+
+
+def _nested(value: object) -> str | None:
+    return f"({_text(value)})" if isinstance(value, Mapping) else _text(value)
+
+
+def _reason(error: object) -> str:
+    """The first line of an error; of a traceback, the last, which names the exception."""
+    if not isinstance(error, str) or not error.strip():
+        return ""
+    lines = error.strip().splitlines()
+    line = lines[-1] if lines[0].startswith("Traceback") else lines[0]
+    return line if len(line) <= MAX_REASON_CHARS else line[: MAX_REASON_CHARS - 3] + "..."
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)

@@ -1,0 +1,349 @@
+"""The sections of the report, one function each.
+
+To add a section, write a function from `ReportData` to a `Content` and list it in `SECTIONS`; the page and its
+navigation follow, and so do the files for papers of the tables and pictures that the content names. Its HTML is usually
+a template of its own, which lays out tables and pictures with the macros of ``parts.html.jinja``.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import pandas as pd
+
+from mrtask.analysis.drawing.replay_content import task_in_words
+from mrtask.analysis.drawing.trajectories import task_objects
+from mrtask.analysis.page import entries
+from mrtask.analysis.page.columns import Entry, Row, Table
+from mrtask.analysis.page.exhibits import Content, Picture, ShownTable
+from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.style import NOTHING, planner_label, robot_color
+from mrtask.analysis.page.templating import render_fragment
+from mrtask.analysis.report import (
+    captioned_charts,
+    cost_profiles,
+    gap,
+    report_tables,
+    result_charts,
+    run_facts,
+    search_curves,
+)
+from mrtask.analysis.report.answer import find
+from mrtask.analysis.report.by_template import results_by_template, template_table
+from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdown, methods_sentences
+from mrtask.analysis.report.paper_claims import claims_table, count_verdicts, judge_claims
+from mrtask.analysis.report.planner_table import planner_table
+from mrtask.analysis.report.report_data import ReportData
+from mrtask.analysis.report.trial_browser import (
+    PLOT_BOTTOM,
+    PLOT_LEFT,
+    PLOT_PAD,
+    PLOT_SIZE,
+    TrialBrowser,
+    browse_trials,
+    place,
+)
+from mrtask.analysis.report.wins import pair_table
+from mrtask.analysis.results.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, main_planner
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page with a heading and an entry in the navigation."""
+
+    anchor: str
+    link: str
+    """The entry in the navigation."""
+    title: str
+    content: Callable[[ReportData], Content | None]
+    """Makes what stands below the heading; None leaves the section out."""
+
+
+def _content(template: str, exhibits: Sequence[ShownTable | Picture] = (), **values: object) -> Content:
+    """A section from its template, which sees its tables and pictures as ``tables`` and ``pictures``."""
+    shown_tables = [each for each in exhibits if isinstance(each, ShownTable)]
+    pictures = [each for each in exhibits if isinstance(each, Picture)]
+    html = render_fragment(template, tables={each.name: each for each in shown_tables}, pictures=pictures, **values)
+    return Content(html, shown_tables, pictures)
+
+
+def _table(name: str, title: str, table: Table | None, corner: str, wide: bool = False) -> list[ShownTable]:
+    """The table under its name, where there is one."""
+    return [ShownTable(name, title, table, corner, wide)] if table is not None else []
+
+
+def paper_table_section(data: ReportData) -> Content:
+    """The paper's table with our results in it."""
+    table = report_tables.paper_table(data.summary, data.published, data.planner)
+    return _content(
+        "paper_table",
+        _table("paper", "Mean costs and improvements by home size and team size", table, "planner", wide=True),
+        marks={"above": entries.ABOVE, "below": entries.BELOW, "level": entries.LEVEL},
+    )
+
+
+def variants_section(data: ReportData) -> Content | None:
+    """The variants of a sweep side by side, and each one's own answer."""
+    if len(data.summaries) < 2:
+        return None
+    found = _variant_findings(data)
+    sample_curves = search_curves.sample_curves(data.episodes, data.planner)
+    side_by_side = report_tables.variant_table(data.summaries, data.planner)
+    return _content(
+        "variants",
+        [
+            *_table("variants", "The variants of the sweep", side_by_side, "variant"),
+            *(shown for _, shown in found.values()),
+            *captioned_charts.picture(
+                "samples",
+                search_curves.draw_sample_curves(sample_curves) if sample_curves else None,
+                "Cost against samples",
+                "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same "
+                "trials paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: "
+                "planners that take no samples.",
+            ),
+            *captioned_charts.picture(
+                "variants",
+                result_charts.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
+                "Improvement by variant",
+                "All team sizes together, 95 % paired bootstrap intervals.",
+            ),
+        ],
+        findings=found,
+    )
+
+
+def figures_section(data: ReportData) -> Content:
+    """The charts."""
+    return _content("figures", captioned_charts.overview_charts(data))
+
+
+def templates_section(data: ReportData) -> Content | None:
+    """Each form of task by itself; None where the rows name no templates."""
+    results = results_by_template(data.rows, data.planner)
+    if data.planner is None or not results:
+        return None
+    title = f"{planner_label(data.planner)} by template"
+    return _content(
+        "templates",
+        [
+            *captioned_charts.template_chart(results, data.planner),
+            *_table("templates", title, template_table(results), "template"),
+        ],
+    )
+
+
+def wins_section(data: ReportData) -> Content | None:
+    """How often the planner is sooner than each other; None where it is compared with none."""
+    pairs = pair_table(data.summary, data.planner)
+    if data.planner is None or pairs is None:
+        return None
+    title = f"{planner_label(data.planner)} against each of the others, cell by cell"
+    return _content(
+        "wins",
+        [*captioned_charts.wins_chart(data), *_table("wins", title, pairs, "cell")],
+        planner=planner_label(data.planner),
+    )
+
+
+def distribution_section(data: ReportData) -> Content | None:
+    """The whole distribution of costs; None where nothing was finished."""
+    ratios = cost_profiles.cost_ratios(data.rows)
+    pictures = captioned_charts.distribution_charts(data, ratios)
+    if not pictures:
+        return None
+    title = "The share of trials in which each planner is the cheapest, or nearly"
+    return _content(
+        "distribution",
+        [*pictures, *_table("profile", title, cost_profiles.profile_table(ratios), "planner")],
+        trials=len(ratios.ratios) if ratios else 0,
+    )
+
+
+def trajectories_section(data: ReportData) -> Content | None:
+    """Some episodes, drawn; None where none can be."""
+    pictures = captioned_charts.trajectories(data)
+    return _content("trajectories", pictures) if pictures else None
+
+
+def trials_section(data: ReportData) -> Content | None:
+    """Every trial as a point that leads to it, and the trials worth a look; None without episodes."""
+    browser = browse_trials(data.rows, data.planner, data.homes, data.replays)
+    if browser is None:
+        return None
+    return _content(
+        "trials",
+        _table("notable", "Trials worth a look", _notable_table(data, browser), "trial"),
+        browser=browser,
+        replays=data.replays,
+        place=place,
+        plot={"size": PLOT_SIZE, "left": PLOT_LEFT, "bottom": PLOT_SIZE - PLOT_BOTTOM, "pad": PLOT_PAD},
+        output_dir=data.manifest.get("output_dir"),
+        robot_colors=[robot_color(team - 1) for team in browser.robots],
+    )
+
+
+def planners_section(data: ReportData) -> Content:
+    """All planners over all episodes."""
+    table = planner_table(data.summary, data.published)
+    return _content("planners", _table("planners", "All planners over all episodes", table, "planner"))
+
+
+def optimality_section(data: ReportData) -> Content | None:
+    """How far planners are from the best that any planner can reach; None where it was not measured."""
+    if not data.optimality:
+        return None
+    table = report_tables.optimality_table(data.optimality)
+    return _content("optimality", _table("optimality", "How far planners are from optimal", table, "cell"))
+
+
+def gap_section(data: ReportData) -> Content | None:
+    """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
+    ladder = gap.find_ladder(data.manifest, data.summary.planners)
+    if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
+        return None
+    title = "What the gap is made of"
+    caption = "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back."
+    return _content(
+        "gap",
+        [
+            *captioned_charts.picture("gap", gap.draw_gaps(gaps), title, caption),
+            *_table("gap", title, gap.gap_table(gaps), "planner", wide=True),
+        ],
+        truth=planner_label(ladder.truth),
+        model=planner_label(ladder.model),
+        counted=data.manifest.get("true_likelihoods") == "counted",
+        certified=any(one.certified for one in gaps),
+        sentences=gap.gap_sentences(gaps),
+    )
+
+
+def model_section(data: ReportData) -> Content:
+    """What the likelihood model is and how good."""
+    title = "The likelihood model on homes held back from training"
+    return _content("model", _table("model", title, data.model.metrics, "metric"), model=data.model)
+
+
+def homes_section(data: ReportData) -> Content:
+    """Where the homes come from."""
+    return _content("homes", facts=run_facts.homes_facts(data.manifest, data.episodes))
+
+
+def run_section(data: ReportData) -> Content:
+    """How the run was made, and which episodes have no result."""
+    return _content(
+        "run",
+        _table("failures", "Episodes without a result", run_facts.failure_table(data.episodes), "reason"),
+        facts=run_facts.run_facts(data.manifest, data.episodes),
+        episodes=len(data.episodes),
+        config=run_facts.config_text(data.manifest),
+    )
+
+
+def method_section(data: ReportData) -> Content:
+    """How the numbers are computed, and the published ones that they stand beside."""
+    title = "The paper's trials in real apartments"
+    return _content(
+        "method",
+        _table("real-world", title, report_tables.real_world_table(data.published), "trial"),
+        resamples=RESAMPLES,
+        least_for_interval=MIN_TRIALS_FOR_INTERVAL,
+        citation=data.published.citation,
+        citation_url=data.published.url,
+    )
+
+
+def papers_section(data: ReportData) -> Content:
+    """What a paper on this run needs besides tables and figures: a paragraph on methods, and citations."""
+    sentences = methods_sentences(data)
+    code_version = data.manifest.get("code_version")
+    entries = bibtex(data.published, str(code_version) if code_version else None)
+    files = {
+        "methods.tex": methods_latex(sentences),
+        "methods.md": methods_markdown(sentences),
+        "references.bib": entries,
+    }
+    html = render_fragment("papers", methods=" ".join(sentences), bibtex=entries, files=tuple(files))
+    return Content(html, files=files)
+
+
+def claims_section(data: ReportData) -> Content:
+    """Each claim of the paper with a verdict and where to see it."""
+    claims = judge_claims(data)
+    content = _content(
+        "claims",
+        _table("claims", "The paper's claims, judged on this run", claims_table(claims, data.judged), "claim"),
+        claims=claims,
+    )
+    counts = "; ".join(f"{planner_label(name)}: {count_verdicts(claims, name)}" for name in data.judged)
+    return replace(content, in_short=f"{counts}.")
+
+
+SECTIONS: Sequence[Section] = (
+    Section("table", "Table", "The paper's table", paper_table_section),
+    Section("variants", "Variants", "The sweep's variants", variants_section),
+    Section("figures", "Figures", "Figures", figures_section),
+    Section("templates", "Templates", "By template", templates_section),
+    Section("wins", "Wins", "Wins, ties, losses", wins_section),
+    Section("distribution", "Distribution", "Distribution of costs", distribution_section),
+    Section("trajectories", "Trajectories", "Trajectories", trajectories_section),
+    Section("trials", "Trials", "Trial by trial", trials_section),
+    Section("planners", "Planners", "All planners, all episodes", planners_section),
+    Section("optimality", "Optimality", "How far from optimal", optimality_section),
+    Section("gap", "Gap", "What the gap is made of", gap_section),
+    Section("model", "Likelihood model", "Likelihood model", model_section),
+    Section("homes", "Homes", "Homes", homes_section),
+    Section("run", "Run", "Run", run_section),
+    Section("method", "Method", "Method", method_section),
+    Section("papers", "For papers", "For papers", papers_section),
+    Section("claims", "Checklist", "Checklist of the reproduction", claims_section),
+)
+"""In the order of the page."""
+
+
+def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, ShownTable]]:
+    """Each variant's own answer and paper table, for those that are not shown in full."""
+    found = {}
+    for number, (variant, summary) in enumerate(data.summaries.items(), 1):
+        planner = data.planner if data.planner in summary.planners else main_planner(summary.planners)
+        table = report_tables.paper_table(summary, data.published, planner)
+        title = f"Mean costs and improvements: {variant or 'as configured'}"
+        shown = ShownTable(f"paper-variant-{number}", title, table, "planner", wide=True)
+        found[variant] = (find(summary, data.published, planner), shown)
+    return found
+
+
+def _notable_table(data: ReportData, browser: TrialBrowser) -> Table | None:
+    """Why each trial is worth a look, its task, and what came of it with the planner and the baseline."""
+    rows = [
+        Row(
+            pick.trial_id,
+            (
+                Entry(pick.reason, tone="text"),
+                Entry(_task(data.rows, pick.trial_id), tone="text"),
+                *map(Entry, _outcomes(data.rows, pick.trial_id, browser)),
+            ),
+        )
+        for pick in data.picks
+    ]
+    headings = ("why", "task", *map(planner_label, browser.compared))
+    return Table(tuple(("", name) for name in headings), tuple(rows)) if rows else None
+
+
+def _task(rows: pd.DataFrame, trial_id: str) -> str:
+    """A trial's task in words; empty where the rows do not say."""
+    if not {"template", "formula", "objects"} <= set(rows.columns):
+        return ""
+    of_trial = rows[(rows["trial_id"] == trial_id) & rows["formula"].notna()]
+    if of_trial.empty:
+        return ""
+    first = of_trial.iloc[0]
+    return task_in_words(str(first["template"]), str(first["formula"]), task_objects(first["objects"]))
+
+
+def _outcomes(rows: pd.DataFrame, trial_id: str, browser: TrialBrowser) -> list[str]:
+    """What came of a trial with the planner and the baseline: seconds, or the status."""
+    of_trial = rows[rows["trial_id"] == trial_id].to_dict("records")
+    found = {
+        row["planner"]: f"{row['cost_s']:.1f} s" if row["status"] == "accepted" else row["status"] for row in of_trial
+    }
+    return [found.get(name, NOTHING) for name in browser.compared]

@@ -1,0 +1,1 @@
+"""Studies beyond a single run: ablation, sensitivity, priors, realism and calibration."""

@@ -1,0 +1,107 @@
+"""One trial's comparison of a planner with the bound, both under the trial's belief.
+
+A bound holds for the expected cost over the worlds that the belief thinks possible. So the planner is not run on the
+home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief, the same that the
+bound is evaluated on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.bounds.lower_bound import lower_bound
+from mrtask.bounds.one_robot import SearchMade
+from mrtask.execution.episode import run_episode
+from mrtask.execution.simulation import Simulation
+from mrtask.execution.trace import Trace
+from mrtask.execution.trials import Trial, key_seed
+from mrtask.homes.home import Home
+from mrtask.maps.home_map import HomeMap
+from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
+from mrtask.tasks.automaton import Automaton, build_automaton
+
+
+def assess(
+    trial: Trial,
+    home: Home,
+    home_map: HomeMap,
+    likelihood: NDArray[np.float64],
+    planner: str,
+    options: Mapping[str, object],
+    worlds: int,
+) -> dict[str, Any]:
+    """One trial's row: means over ``worlds`` worlds of the planner's cost, the bound and the clairvoyant bound, in s.
+
+    Args:
+        likelihood: [C, O] the model's probability that container c holds the trial's object o.
+
+    Raises:
+        ValueError: a planner that is unknown or refuses its options, or a belief that has no world.
+    """
+    automaton = build_automaton(trial.formula, trial.objects)
+    nothing = np.zeros(likelihood.shape, dtype=bool)
+    problem = Simulation(
+        home, home_map, automaton, likelihood, nothing, team=trial.team, start_cell=trial.start_cell
+    ).problem()
+    rng = np.random.default_rng(key_seed(trial.seed, "worlds"))
+    drawn = draw_worlds(belief_of(problem), worlds, rng)
+    costs_s, runs = np.full(worlds, np.nan), []
+    for number, world in enumerate(drawn):
+        result = run_episode(
+            replace(trial, seed=key_seed(trial.seed, "world", number)),
+            home_with(home, trial.objects, world),
+            home_map,
+            likelihood,
+            planner,
+            options,
+        )
+        runs.append(searches_of(result.trace, home, automaton))
+        if result.cost_s is not None:
+            costs_s[number] = result.cost_s
+    bound = lower_bound(problem, drawn, rng, runs)
+    done = np.isfinite(costs_s)
+    return {
+        "trial_id": trial.trial_id,
+        "home_id": home.id,
+        "size_class": trial.size_class,
+        "robots": trial.team.robots,
+        "template": trial.template,
+        "formula": trial.formula,
+        "planner": planner,
+        "worlds": worlds,
+        "failed": int((~done).sum()),
+        "cost_s": _mean(costs_s[done]),
+        "bound_s": _mean(bound.values_s[done]),
+        "clairvoyant_s": _mean(bound.clairvoyant_s[done]),
+        "kind": bound.kind.value,
+        "bound_seconds": bound.seconds,
+    }
+
+
+def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMade]:
+    """The first robot's searches, with the task's state at each; for a team of one."""
+    number = {container.id: index for index, container in enumerate(home.containers)}
+    state, searches = automaton.initial, []
+    for leg in trace.robots[0]:
+        if leg.kind == "search" and leg.container is not None:
+            searches.append(SearchMade(number[leg.container], state))
+        elif leg.kind == "interact" and leg.object is not None:
+            state = int(automaton.transitions[state, automaton.propositions.index(leg.object)])
+    return searches
+
+
+def home_with(home: Home, objects: tuple[str, ...], world: Bools) -> Home:
+    """The home with the task's objects where ``world`` [C, O] has them and nowhere else."""
+    containers = []
+    for container, held in zip(home.containers, world, strict=True):
+        others = [name for name in container.objects if name not in objects]
+        placed = [name for name, here in zip(objects, held, strict=True) if here]
+        containers.append(replace(container, objects=tuple(sorted([*others, *placed]))))
+    return replace(home, containers=tuple(containers))
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else float("nan")

@@ -1,0 +1,68 @@
+"""The lower bound of a decision problem, by whichever way suits the team, with the clairvoyant one beside it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from time import process_time
+
+import numpy as np
+
+from mrtask.bounds.one_robot import SearchMade, one_robot_bound
+from mrtask.bounds.team_bound import team_bound
+from mrtask.planning.clairvoyant import clairvoyant_s
+from mrtask.planning.problem import PlanningProblem
+from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
+
+PILOT_WORLDS = 30
+"""By which the bound for a team chooses among its curves."""
+
+
+class BoundKind(StrEnum):
+    """How a bound came about."""
+
+    EXACT = "exact"
+    """One robot: the mean is the optimum itself, up to the sampling of worlds."""
+    PENALISED = "penalised"
+    """One robot: information relaxation with penalties."""
+    TEAM = "team"
+    """Several robots: what a team can search in a given time."""
+
+
+@dataclass(frozen=True, eq=False)
+class LowerBound:
+    """For K worlds drawn from the belief, values whose expectations bound every planner's expected makespan."""
+
+    values_s: Floats
+    """[K] of the tighter bound."""
+    clairvoyant_s: Floats
+    """[K] the makespan of a team that knows the world."""
+    kind: BoundKind
+    seconds: float
+    """CPU time that it took to compute."""
+
+
+def lower_bound(
+    problem: PlanningProblem,
+    worlds: Bools,
+    rng: np.random.Generator,
+    runs: Sequence[Sequence[SearchMade]] | None = None,
+) -> LowerBound:
+    """The bound in ``worlds`` [K, C, O], drawn by `draw_worlds` from the problem's own belief.
+
+    Args:
+        rng: for worlds of the bound's own.
+        runs: the searches in each world of a planner that the bound will be compared with. For one robot its values
+            then vary with the planner's costs, at the same mean.
+
+    Raises:
+        ValueError: a robot is busy.
+    """
+    began_s = process_time()
+    belief = belief_of(problem)
+    clairvoyant = np.array([clairvoyant_s(belief, world) for world in worlds])
+    if belief.robots == 1:
+        bound = one_robot_bound(belief, worlds, runs)
+        values_s, kind = bound.values_s, BoundKind.EXACT if bound.exact else BoundKind.PENALISED
+    else:
+        values_s, kind = team_bound(belief, worlds, draw_worlds(belief, PILOT_WORLDS, rng)), BoundKind.TEAM
+    return LowerBound(values_s, clairvoyant, kind, process_time() - began_s)

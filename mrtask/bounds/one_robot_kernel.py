@@ -1,0 +1,283 @@
+"""The compiled dynamic programmes of `mrtask.bounds.one_robot`.
+
+Legend: n containers to be searched, numbered first among P places; the other places are known to hold something. A
+set S of searched containers and sets of objects are bit masks. O objects, Z automaton states. Objects that may have
+to wait for their turn have a digit in the number L: 0 while nobody has found the object, else 1 + the container
+where it is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.planning.compiled import compiled, inlined
+
+F8 = NDArray[np.float64]
+I4 = NDArray[np.int32]
+I8 = NDArray[np.int64]
+U1 = NDArray[np.uint8]
+
+NONE = -1
+
+
+class Search(NamedTuple):
+    """A one-robot search and scratch space for it."""
+
+    travel_s: F8  # [P + 1, P] the last row from where the robot is
+    prob: F8  # [n, O]
+    nowhere: F8  # [2^n, O] probability that none of the containers outside S holds an object
+    known: I8  # [P] mask of the objects that a place is known to hold, 0 for the first n
+    transitions: I4  # [Z, O]
+    accepting: U1  # [Z]
+    advancing: I8  # [Z] mask
+    safe: I8  # [Z] mask
+    needed: I8  # [Z] mask
+    steps: I4  # [Z]
+    order: I4  # [Z] the states by steps, without accepting ones and the sink
+    nearer_only: bool  # whether every advancing letter leads nearer to acceptance
+    known_mask: int  # objects that some place is known to hold
+    waiting_mask: int  # objects that may have to wait for their turn
+    stride: I8  # [O] weight of an object's digit in L, 0 for objects without one
+    locations: int  # how many values L has
+    search_time_s: float
+    interact_time_s: float
+    relevant: I4  # [O] scratch
+    costs: F8  # [n] scratch
+
+
+@inlined
+def _digit(search: Search, locations: int, obj: int) -> int:
+    return int((locations // search.stride[obj]) % (search.prob.shape[0] + 1))
+
+
+@inlined
+def _settled_state(search: Search, z: int, held: int) -> int:
+    """The state after the harmless interactions with ``held`` that lead nearer to acceptance, nearest first."""
+    objects = search.prob.shape[1]
+    while True:
+        best = NONE
+        here = held & search.safe[z]
+        for obj in range(objects):
+            if (here >> obj) & 1:
+                steps = search.steps[search.transitions[z, obj]]
+                if steps < search.steps[z] and (best == NONE or steps < search.steps[search.transitions[z, best]]):
+                    best = obj
+        if best == NONE:
+            return z
+        z = search.transitions[z, best]
+
+
+@inlined
+def _value_after(search: Search, value: F8, searched: int, z: int, settled: int, locations: int, c: int) -> float:
+    """`value` once the robot has done at c what leads from state z to ``settled``; every letter is a step there."""
+    letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
+    if search.accepting[settled]:
+        return letters_s
+    return letters_s + float(value[searched, settled, locations, c])
+
+
+@inlined
+def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> int:
+    """Fills ``search.relevant`` with the objects whose presence in a container matters, and returns their number."""
+    count = 0
+    for obj in range(search.prob.shape[1]):
+        if not (search.needed[z] >> obj) & 1:
+            continue
+        if (search.waiting_mask >> obj) & 1 and (
+            search.stride[obj] == 0 or (not every_copy and _digit(search, locations, obj) > 0)
+        ):
+            continue
+        search.relevant[count] = obj
+        count += 1
+    return count
+
+
+@inlined
+def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) -> float:
+    """That a container holds an object, given what was found in those searched."""
+    if (found >> obj) & 1:
+        return float(search.prob[c, obj])
+    return float(min(search.prob[c, obj] / (1.0 - search.nowhere[searched, obj]), 1.0))
+
+
+@inlined
+def _expected_s(search: Search, value: F8, searched: int, z: int, locations: int, c: int) -> float:
+    """The mean of `value` after a search of c in the simplified problem."""
+    count = _list_relevant(search, z, locations, False)
+    total_s = 0.0
+    for bits in range(1 << count):
+        weight, held, after = 1.0, 0, locations
+        for i in range(count):
+            obj = search.relevant[i]
+            prob = _presence_prob(search, searched, search.known_mask, c, obj)
+            if (bits >> i) & 1:
+                weight *= prob
+                held |= 1 << obj
+                after += search.stride[obj] * (c + 1)
+            else:
+                weight *= 1.0 - prob
+        if weight > 0.0:
+            settled = _settled_state(search, z, held)
+            total_s += weight * _value_after(search, value, searched | (1 << c), z, settled, after, c)
+    return total_s
+
+
+@inlined
+def _locations_valid(search: Search, searched: int, locations: int) -> bool:
+    for obj in range(search.prob.shape[1]):
+        if search.stride[obj] > 0:
+            digit = _digit(search, locations, obj)
+            if digit > 0 and not (searched >> (digit - 1)) & 1:
+                return False
+    return True
+
+
+@compiled
+def solve_simplified(search: Search, value: F8) -> None:
+    """Fills ``value`` [2^n, Z, L, P]: the least expected time to go if of each waiting object one copy is remembered.
+
+    Dead ends, which no world leads to, have the value 0.
+    """
+    n, places = search.prob.shape[0], search.known.size
+    for searched in range((1 << n) - 1, -1, -1):
+        for locations in range(search.locations):
+            if not _locations_valid(search, searched, locations):
+                continue
+            for i in range(search.order.size):
+                z = search.order[i]
+                if _list_relevant(search, z, locations, False) == 0:
+                    for c in range(n):
+                        search.costs[c] = np.inf
+                else:
+                    for c in range(n):
+                        if not (searched >> c) & 1:
+                            expected_s = _expected_s(search, value, searched, z, locations, c)
+                            search.costs[c] = search.search_time_s + expected_s
+                for place in range(places):
+                    if place < n and not (searched >> place) & 1:
+                        continue
+                    best_s = np.inf
+                    for c in range(n):
+                        if not (searched >> c) & 1:
+                            best_s = min(best_s, search.travel_s[place, c] + search.costs[c])
+                    for obj in range(search.prob.shape[1]):
+                        after = search.transitions[z, obj]
+                        if not (search.advancing[z] >> obj) & 1 or search.steps[after] >= search.steps[z]:
+                            continue
+                        if search.stride[obj] > 0:
+                            c = _digit(search, locations, obj) - 1
+                            if c >= 0:
+                                to_go_s = 0.0 if search.accepting[after] else value[searched, after, locations, c]
+                                best_s = min(best_s, search.travel_s[place, c] + search.interact_time_s + to_go_s)
+                        for c in range(n, places):
+                            if (search.known[c] >> obj) & 1:
+                                to_go_s = 0.0 if search.accepting[after] else value[searched, after, locations, c]
+                                best_s = min(best_s, search.travel_s[place, c] + search.interact_time_s + to_go_s)
+                    value[searched, z, locations, place] = best_s if best_s < np.inf else 0.0
+
+
+@inlined
+def _guess_s(search: Search, value: F8, world: I8, before: int, z: int, c: int, held: int) -> float:
+    """The approximate time to go after the robot, in state z, has found ``held`` in c.
+
+    It knows what ``world`` has in the containers searched ``before``. Of an object's known copies that is taken to be
+    remembered which makes the time least, object by object: whatever this is, it is a function of what the robot knows.
+    """
+    n, settled = search.prob.shape[0], _settled_state(search, z, held)
+    locations = 0
+    for obj in range(search.prob.shape[1]):
+        if search.stride[obj] > 0:
+            if (held >> obj) & 1:
+                locations += search.stride[obj] * (c + 1)
+            else:
+                for other in range(n):
+                    if (before >> other) & 1 and (world[other] >> obj) & 1:
+                        locations += search.stride[obj] * (other + 1)
+                        break
+    best_s = _value_after(search, value, before | (1 << c), z, settled, locations, c)
+    for obj in range(search.prob.shape[1]):
+        if search.stride[obj] > 0:
+            for other in range(n):
+                if (before >> other) & 1 and (world[other] >> obj) & 1:
+                    tried = locations + search.stride[obj] * (other + 1 - _digit(search, locations, obj))
+                    tried_s = _value_after(search, value, before | (1 << c), z, settled, tried, c)
+                    if tried_s < best_s:
+                        best_s, locations = tried_s, tried
+    return best_s
+
+
+@inlined
+def _penalty_s(search: Search, value: F8, world: I8, searched: int, found: int, z: int, c: int) -> float:
+    """The mean of `_guess_s` over what a search of c may find, less what it is for what ``world`` has there.
+
+    It takes what could have been done at once to be done: who knows the world gains nothing by leaving it undone.
+    """
+    z = _settled_state(search, z, found & ~search.waiting_mask)
+    if search.accepting[z]:
+        return 0.0
+    count = _list_relevant(search, z, 0, True)
+    mean_s, relevant = 0.0, 0
+    for bits in range(1 << count):
+        weight, held = 1.0, 0
+        for i in range(count):
+            obj = search.relevant[i]
+            prob = _presence_prob(search, searched, found | search.known_mask, c, obj)
+            relevant |= 1 << obj
+            if (bits >> i) & 1:
+                weight *= prob
+                held |= 1 << obj
+            else:
+                weight *= 1.0 - prob
+        if weight > 0.0:
+            mean_s += weight * _guess_s(search, value, world, searched, z, c, held)
+    return mean_s - _guess_s(search, value, world, searched, z, c, world[c] & relevant)
+
+
+@compiled
+def solve_world(search: Search, value: F8, world: I8, cost: F8, penalty: F8) -> None:
+    """The penalised problem of a robot that knows the world, ``world`` [n] masks of what containers hold.
+
+    Fills ``cost`` [2^n, Z, P + 1], the least time to go with all penalties to come, and ``penalty`` [2^n, Z, n] of the
+    search of a container after those in S.
+    """
+    n, places = search.prob.shape[0], search.known.size
+    for searched in range((1 << n) - 1, -1, -1):
+        found = 0
+        for c in range(n):
+            if (searched >> c) & 1:
+                found |= world[c]
+        for i in range(search.order.size):
+            z = search.order[i]
+            for c in range(n):
+                if not (searched >> c) & 1:
+                    penalty[searched, z, c] = _penalty_s(search, value, world, searched, found, z, c)
+            for place in range(places + 1):
+                cost[searched, z, place] = np.inf
+        improved = True
+        while improved:
+            improved = False
+            for i in range(search.order.size):
+                z = search.order[i]
+                for place in range(places + 1):
+                    if (place < n and not (searched >> place) & 1) or (place == places and searched > 0):
+                        continue
+                    best_s = cost[searched, z, place]
+                    for c in range(n):
+                        if not (searched >> c) & 1:
+                            to_go_s = search.search_time_s + penalty[searched, z, c] + cost[searched | (1 << c), z, c]
+                            best_s = min(best_s, search.travel_s[place, c] + to_go_s)
+                    for obj in range(search.prob.shape[1]):
+                        if not (search.advancing[z] >> obj) & 1:
+                            continue
+                        after = search.transitions[z, obj]
+                        for c in range(places):
+                            here = search.known[c]
+                            if c < n:
+                                here = world[c] if (searched >> c) & 1 else 0
+                            if (here >> obj) & 1:
+                                to_go_s = 0.0 if search.accepting[after] else cost[searched, after, c]
+                                best_s = min(best_s, search.travel_s[place, c] + search.interact_time_s + to_go_s)
+                    if best_s < cost[searched, z, place]:
+                        cost[searched, z, place] = best_s
+                        improved = not search.nearer_only

@@ -1,0 +1,43 @@
+"""The compiled loops of `mrtask.bounds.team_bound`; sets of n containers are bit masks."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.planning.compiled import compiled
+
+F8 = NDArray[np.float64]
+
+
+@compiled
+def shortest_ways(travel_s: F8, start_s: F8, ending: F8, result: F8) -> None:
+    """The shortest way through each set (Held and Karp 1962), ``result`` [2^n]; ``ending`` [2^n, n] by last container.
+
+    ``travel_s`` [n, n] and ``start_s`` [n] include the time spent on arrival.
+    """
+    n = start_s.size
+    for visited in range(1, 1 << n):
+        result[visited] = np.inf
+        for last in range(n):
+            ending[visited, last] = np.inf
+            if not (visited >> last) & 1:
+                continue
+            before = visited & ~(1 << last)
+            if before == 0:
+                ending[visited, last] = start_s[last]
+            for previous in range(n):
+                if (before >> previous) & 1:
+                    way_s = ending[before, previous] + travel_s[previous, last]
+                    ending[visited, last] = min(ending[visited, last], way_s)
+            result[visited] = min(result[visited], ending[visited, last])
+
+
+@compiled
+def divide(team_s: F8, one_s: F8, result: F8) -> None:
+    """For each set, ``result`` [2^n], the least time in which a team and one more robot can visit it together."""
+    for visited in range(result.size):
+        best_s = team_s[visited]
+        share = visited
+        while share > 0:
+            best_s = min(best_s, max(one_s[share], team_s[visited & ~share]))
+            share = (share - 1) & visited
+        result[visited] = best_s

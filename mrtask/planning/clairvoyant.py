@@ -1,0 +1,85 @@
+"""The least makespan of a team that knows where everything is.
+
+A run is a word of the automaton whose letters are done by robots at containers. Between its letters a robot can do
+no better than go straight from one container to the next at once; so the least makespan is found by Dijkstra's
+algorithm over (automaton state, where each robot did its last letter and when). A letter is complete when its robot
+has arrived and interacted, and not before the letters that precede it in the word.
+
+This is exact where searches take no time, and for one robot always. For teams with ``search_time_s > 0`` it is a
+lower bound: a letter is only held back until the first robot could have come to its container and searched it, as
+if searches took no robot's time; the robot itself, or one before it, must have searched there. With
+``interact_time_s > 0`` a letter may begin as soon as its object first advanced the task, which no run can undercut.
+"""
+
+from heapq import heappop, heappush
+from itertools import count
+from math import inf
+
+import numpy as np
+
+from mrtask.planning.solver_belief import Belief, Bools
+
+Robots = tuple[tuple[int, float], ...]
+"""For each robot, in sorted order, the container of its last letter and when that was complete.
+
+A robot that has done none is at ``-1 - row`` of `Belief.start_s`; robots that start together share the row, which
+makes them interchangeable.
+"""
+
+
+def clairvoyant_s(belief: Belief, world: Bools, free: frozenset[int] = frozenset()) -> float:
+    """The least makespan in seconds with contents ``world`` [C, O]; inf where the task cannot be done.
+
+    Letters with the objects ``free`` cost nothing and can be done anywhere at any time.
+    """
+    automaton = belief.automaton
+    objects = range(world.shape[1])
+    options = [[obj for obj in objects if automaton.advancing[z, obj]] for z in range(len(automaton.transitions))]
+    places = [np.flatnonzero(world[:, obj]).tolist() for obj in objects]
+    travel_s, start_s = belief.travel_s.tolist(), belief.start_s.tolist()
+    opening_s = (belief.start_s.min(axis=0) + belief.search_time_s).tolist()
+    unsearched = belief.unsearched.tolist()
+    searches = belief.search_time_s > 0 and belief.robots == 1
+    overlap = belief.interact_time_s > 0
+    interact_s = belief.interact_time_s
+
+    def since_when(since: tuple[float, ...], z: int, now_s: float) -> tuple[float, ...]:
+        if not overlap:
+            return since
+        return tuple(min(old, now_s) if obj in options[z] else old for obj, old in enumerate(since))
+
+    rows = [start_s.index(row) for row in start_s]
+    team: Robots = tuple(sorted((-1 - row, 0.0) for row in rows))
+    since = since_when((inf,) * world.shape[1] if overlap else (), belief.state, 0.0)
+    number = count()
+    queue = [(0.0, next(number), belief.state, team, frozenset[int](), since)]
+    seen = set()
+    while queue:
+        now_s, _, z, team, opened, since = heappop(queue)
+        if automaton.accepting[z]:
+            return now_s
+        if (z, team, opened, since) in seen:
+            continue
+        seen.add((z, team, opened, since))
+        for obj in options[z]:
+            after = int(automaton.transitions[z, obj])
+            if obj in free:
+                heappush(queue, (now_s, next(number), after, team, opened, since_when(since, after, now_s)))
+                continue
+            for container in places[obj]:
+                for index, (place, ready_s) in enumerate(team):
+                    if index and team[index - 1] == team[index]:
+                        continue
+                    arrived_s = ready_s + (travel_s[place] if place >= 0 else start_s[-1 - place])[container]
+                    if unsearched[container]:
+                        if searches and container not in opened:
+                            arrived_s += belief.search_time_s
+                        arrived_s = max(arrived_s, opening_s[container])
+                    begun_s = max(arrived_s, since[obj]) if overlap else arrived_s
+                    done_s = max(begun_s + interact_s, now_s)
+                    if done_s == inf:
+                        continue
+                    moved = tuple(sorted((*team[:index], (container, done_s), *team[index + 1 :])))
+                    then = opened | {container} if searches else opened
+                    heappush(queue, (done_s, next(number), after, moved, then, since_when(since, after, done_s)))
+    return inf

@@ -1,0 +1,247 @@
+"""`pouct_paper`: the planner of the paper. PO-UCT over actions <container, object> with Algorithm 1's outcomes.
+
+Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that make
+progress (`mrtask.planning.paper.action_kernel`); a leaf is worth the time so far plus a value of the rest. Wherever the
+paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are
+the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
+text's Algorithm 1, choice and free robots; the code's eight likeliest actions; and, ours, likelihoods that know that
+every object is somewhere.
+"""
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from mrtask.planning.paper import leaf_kernel
+from mrtask.planning.paper import search_kernel as kernel
+from mrtask.planning.paper.action_kernel import LIMIT, ActionLimits, ActionRules, first_action
+from mrtask.planning.paper.belief_kernel import WAIT as WAIT_ACTION
+from mrtask.planning.paper.belief_kernel import PaperBelief, PaperModel
+from mrtask.planning.paper.paper_model import blank_belief, bound_of, paper_model, rollouts_of, root_belief
+from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem, safe
+from mrtask.planning.tree import (
+    MAX_SPREAD,
+    NODES,
+    NONE,
+    SearchOptions,
+    Tree,
+    edges_of,
+    empty_tree,
+    is_settled,
+    mean_cost_s,
+    root_statistics,
+    run_search,
+)
+
+BOUNDS = {
+    "zero": leaf_kernel.ZERO,
+    "nearest": leaf_kernel.NEAREST,
+    "revealed": leaf_kernel.REVEALED,
+}
+GREEDY = "greedy"
+
+
+@dataclass(frozen=True)
+class PaperOptions(SearchOptions):
+    """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration.
+
+    "The text" is the paper (arXiv 2603.20544), "the code" its authors' public development code (RAIL-lsp-dev, branch
+    abhish/mr-task, May 2025), which is older than the text. The code's setting of each switch is named.
+    """
+
+    leaf: str = "revealed"
+    """What is left to do is worth at a leaf: ``zero``, nothing (the code); ``nearest``, a lower bound on the time, with
+    every object at the nearest container that may hold it (a reading of the text's "heuristic cost providing a lower
+    bound"); ``revealed``, the mean time if the contents were told now and all objects were fetched at once (ours);
+    ``greedy``, the time that the policy `greedy` takes in a world drawn from the belief (`pouct`'s)."""
+    exploration_unit: str = "spread"
+    """What ``exploration``, UCB1's constant, counts: ``spread``, standard deviations of the cost at the root (ours), or
+    ``seconds``. The code's 10 grid cells of 0.05 m are 0.5 s at 1 m/s; the text does not say."""
+    choice: str = "mean"
+    """The joint action taken: ``mean``, the edges of least mean cost (the text); ``visits``, the most visited ones (the
+    code), of equals the one of least cost."""
+    max_actions: int | None = 8
+    """Only so many actions of a robot, those of the highest P_S, stay at a node (the code: 8); an object known to be
+    there counts as 1. null: all, as the text has it."""
+    avoid_targets: bool = False
+    """In a team with at least as many actions as robots, containers that other robots head for are left to them (the
+    code), unless nothing else is left."""
+    advance_when_alone: bool = False
+    """A robot whose team all waits has only actions that advance the task (the code), unless there are none."""
+    round_decimals: int | None = None
+    """P_S is rounded to so many decimals; null: not (the text). The code: 2. What is possible stays possible."""
+    exists: bool = True
+    """P_S is conditioned on every object being somewhere: an object not located is in container k with probability
+    p_k / (1 - prod(1 - p)), over the containers where it may still be. The text says no more than that tasks are about
+    objects that are there; the code does not condition."""
+    reassign: str = "free"
+    """``free``: only free robots decide (Algorithm 1 as it stands); ``all``: after news those under way do too (the
+    code assigns everybody anew at each reveal)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, allowed in (
+            ("leaf", (*BOUNDS, GREEDY)),
+            ("exploration_unit", ("spread", "seconds")),
+            ("choice", ("mean", "visits")),
+            ("reassign", ("free", "all")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}")
+        if self.max_actions is not None and self.max_actions < 1:
+            raise ValueError(f"max_actions must be at least 1 or null, not {self.max_actions}")
+        if self.round_decimals is not None and self.round_decimals < 0:
+            raise ValueError(f"round_decimals must be >= 0 or null, not {self.round_decimals}")
+
+
+class PaperPouct:
+    """The paper's search planner; see the module."""
+
+    knows_contents = False
+
+    def __init__(self, options: PaperOptions) -> None:
+        self.options = options
+
+    def warm_up(self, problem: PlanningProblem) -> None:
+        """Compiles the kernels: one sample."""
+        PaperPouct(replace(self.options, samples=1)).plan(problem, seed=0)
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
+
+        Raises:
+            ValueError: more task objects than the kernel's bit masks hold.
+        """
+        began_s = perf_counter()
+        free = [index for index, robot in enumerate(problem.robots) if robot.free]
+        if problem.automaton.accepting[problem.state] or not free:
+            return Plan({index: Assignment(WAIT) for index in free})
+        search = PaperSearch(problem, self.options, seed)
+        choose = _Choice(problem, search, self.options.choice)
+        done = run_search(self.options, search.run, choose.is_settled)
+        info = PlanInfo(
+            planning_s=perf_counter() - began_s,
+            samples=done,
+            tree_nodes=int(search.tree.size[NODES]),
+            value_s=mean_cost_s(search.tree, choose.edge(0)),
+            root=root_statistics(search.tree, choose.assignment),
+            root_robot=int(search.tree.nodes[0].robot),
+        )
+        return Plan(_joint_action(problem, search, choose), info)
+
+
+class PaperSearch:
+    """The arrays of one search: the model, the root's belief and the tree, which `run` grows."""
+
+    def __init__(self, problem: PlanningProblem, options: PaperOptions, seed: int) -> None:
+        self.model: PaperModel = paper_model(
+            problem, exists=options.exists, redirect=options.reassign == "all", round_decimals=options.round_decimals
+        )
+        self.root: PaperBelief = root_belief(problem, self.model)
+        self.tree: Tree = empty_tree(options)
+        self.rules = ActionRules(
+            self.model.prob.size if options.max_actions is None else options.max_actions,
+            options.avoid_targets,
+            options.advance_when_alone,
+        )
+        self.limits = action_limits(self.rules, len(self.tree.nodes))
+        self._exploration = kernel.Exploration(options.exploration, options.exploration_unit == "spread")
+        self.bound = bound_of(problem, BOUNDS.get(options.leaf, leaf_kernel.ZERO))
+        self.rollouts = rollouts_of(problem) if options.leaf == GREEDY else None
+        self._belief = blank_belief(problem)
+        self._rng = np.array([seed], dtype=np.uint64)
+        kernel.decision_node(self.root, self.tree, NONE)
+
+    def run(self, samples: int) -> None:
+        """Runs so many samples."""
+        kernel.run_samples(
+            self.model,
+            self.root,
+            self._belief,
+            self.tree,
+            self.rules,
+            self.limits,
+            self._exploration,
+            self.bound,
+            self.rollouts,
+            self._rng,
+            samples,
+        )
+
+
+def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
+    """Work space of the rules, for trees of so many nodes."""
+    return ActionLimits(
+        nodes=np.recarray(nodes, dtype=LIMIT),
+        ranked_prob=np.empty(rules.max_actions),
+        ranked=np.empty(rules.max_actions, dtype=np.int64),
+    )
+
+
+class _Choice:
+    """Which edge of a node is taken.
+
+    An interaction that can hurt (see `safe`) gives way to a harmless action that costs no more, as far as the samples
+    can tell: the means lie within their standard errors.
+    """
+
+    def __init__(self, problem: PlanningProblem, search: PaperSearch, choice: str) -> None:
+        self._tree, self._by_visits = search.tree, choice == "visits"
+        self._deciders = int(search.root.robots.undecided.sum())
+        self._objects = problem.presence_prob.shape[1]
+        self._can_hurt = (problem.automaton.advancing & ~safe(problem.automaton))[problem.state]
+
+    def edge(self, node: int, allow_wait: bool = True) -> int:
+        """The edge taken, NONE if there is none; ``allow_wait``: waiting is one."""
+        tree = self._tree
+        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT_ACTION]
+        best = min(edges, key=self._rank, default=NONE)
+        if best == NONE or not self._hurts(best):
+            return best
+        harmless = min((edge for edge in edges if not self._hurts(edge)), key=self._rank, default=NONE)
+        if harmless == NONE:
+            return best
+        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edges[[best, harmless]].visits ** -0.5))
+        return harmless if mean_cost_s(tree, harmless) <= mean_cost_s(tree, best) + error_s else best
+
+    def assignment(self, action: int) -> Assignment:
+        """What an action of the tree means."""
+        return Assignment(WAIT, 0) if action == WAIT_ACTION else Assignment(*divmod(action, self._objects))
+
+    def is_settled(self, samples_left: int) -> bool:
+        """Whether the choice stays as it is, wherever the samples left go: by visits only, if no action can hurt."""
+        return self._by_visits and not self._can_hurt.any() and is_settled(self._tree, self._deciders, samples_left)
+
+    def _rank(self, edge: int) -> tuple[float, float]:
+        visits = int(self._tree.edges[edge].visits)
+        return (-visits if self._by_visits else 0, mean_cost_s(self._tree, edge))
+
+    def _hurts(self, edge: int) -> bool:
+        action = int(self._tree.edges[edge].action)
+        return action != WAIT_ACTION and bool(self._can_hurt[action % self._objects])
+
+
+def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice) -> dict[int, Assignment]:
+    """Follows the chosen edges through the robots that decide; free ones that the tree did not reach wait.
+
+    Somebody acts if anybody can: where the whole team would wait, the first robot takes its best other action.
+    """
+    tree = search.tree
+    assignments = {index: Assignment(WAIT, 0) for index, robot in enumerate(problem.robots) if robot.free}
+    deciders = [int(robot) for robot in np.flatnonzero(search.root.robots.undecided)]
+    node = 0
+    for _ in deciders:
+        edge = choose.edge(node) if node != NONE else NONE
+        if edge == NONE:
+            break
+        assignments[int(tree.nodes[node].robot)] = choose.assignment(int(tree.edges[edge].action))
+        node = int(tree.edges[edge].first_child)
+    resting = [index for index, chosen in assignments.items() if chosen.container == WAIT]
+    if len(resting) == len(problem.robots):
+        edge = choose.edge(0, allow_wait=False)
+        robots = [(int(tree.nodes[0].robot), int(tree.edges[edge].action))] if edge != NONE else []
+        robots += [(robot, first_action(search.model, search.root, robot)) for robot in deciders]
+        robot, action = next((pair for pair in robots if pair[1] != NONE), (deciders[0], WAIT_ACTION))
+        assignments[robot] = choose.assignment(action)
+    return assignments

@@ -1,0 +1,111 @@
+"""What bounds are computed from: a decision problem with its belief, and hidden worlds drawn from it.
+
+A world says which unsearched container holds which task object. Containers and objects are independent but for one
+thing: every object that no searched container holds is in some container. This is the distribution that `pouct` samples
+(`mrtask.planning.team_kernel`), so a bound on the expected makespan over these worlds bounds every planner's.
+
+Legend for array shapes: R robots, C containers, O task objects, Z automaton states, K worlds.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.planning.problem import PlanningProblem, needed, safe
+from mrtask.planning.team_model import team_model
+from mrtask.tasks.automaton import Automaton
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A decision problem as bounds see it. Containers out of reach neither hold anything nor are visited."""
+
+    automaton: Automaton
+    state: int
+    travel_s: Floats
+    """[C, C] shortest times, by way of other containers where that is shorter: the triangle inequality holds."""
+    start_s: Floats
+    """[R, C] likewise from where each robot is."""
+    unsearched: Bools
+    """[C] containers in reach that nobody has searched."""
+    known: Bools
+    """[C, O] what searched containers hold."""
+    prob: Floats
+    """[C, O] of unsearched containers, 0 in all others."""
+    needed: Bools
+    """[Z, O]"""
+    safe: Bools
+    """[Z, O]"""
+    search_time_s: float
+    interact_time_s: float
+
+    @property
+    def robots(self) -> int:
+        """The team's size."""
+        return len(self.start_s)
+
+    @property
+    def found(self) -> Bools:
+        """[O] whether a searched container holds the object."""
+        return np.asarray(self.known.any(axis=0))
+
+    @property
+    def nowhere_prob(self) -> Floats:
+        """[O] the probability that no unsearched container holds an object, were it not known to exist."""
+        return np.asarray(np.prod(1.0 - self.prob, axis=0))
+
+
+def belief_of(problem: PlanningProblem) -> Belief:
+    """The belief of a problem, with the likelihoods that planners by search take it to have.
+
+    Raises:
+        ValueError: a robot is searching or interacting: bounds are for teams that are free to go anywhere.
+    """
+    if any(not robot.free and robot.target < 0 for robot in problem.robots):
+        raise ValueError("a robot is busy; bounds are for instants at which every robot is free or under way")
+    travel_s = problem.travel_s.copy()
+    for via in range(len(travel_s)):
+        np.minimum(travel_s, travel_s[:, [via]] + travel_s[[via]], out=travel_s)
+    start_s = np.array([robot.travel_s for robot in problem.robots])
+    start_s = np.minimum(start_s, (start_s[:, :, None] + travel_s).min(axis=1))
+    reachable = np.isfinite(start_s).any(axis=0)
+    unsearched = reachable & ~problem.searched
+    return Belief(
+        automaton=problem.automaton,
+        state=problem.state,
+        travel_s=travel_s,
+        start_s=start_s,
+        unsearched=unsearched,
+        known=(problem.presence_prob > 0) & (problem.searched & reachable)[:, None],
+        prob=np.where(unsearched[:, None], team_model(problem).prob, 0.0),
+        needed=needed(problem.automaton),
+        safe=safe(problem.automaton),
+        search_time_s=problem.search_time_s,
+        interact_time_s=problem.interact_time_s,
+    )
+
+
+def draw_worlds(belief: Belief, count: int, rng: np.random.Generator) -> Bools:
+    """[K, C, O] what all containers hold in ``count`` worlds, the searched ones as they were found.
+
+    Raises:
+        ValueError: an object is neither found nor can be in any container.
+    """
+    nowhere = belief.nowhere_prob
+    lost = ~belief.found & (nowhere >= 1.0)
+    if lost.any():
+        names = ", ".join(np.array(belief.automaton.propositions)[lost])
+        raise ValueError(f"no container that is left can hold {names}: the belief has no world")
+    worlds = np.repeat(belief.known[None], count, axis=0)
+    exists = np.repeat(belief.found[None], count, axis=0)
+    for container in np.flatnonzero(belief.unsearched):
+        prob = belief.prob[container]
+        here = rng.random(exists.shape) * np.where(exists, 1.0, 1.0 - nowhere) < prob
+        worlds[:, container] = here
+        exists |= here
+        nowhere = np.minimum(nowhere / (1.0 - prob), 1.0)
+    return worlds

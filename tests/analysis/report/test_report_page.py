@@ -1,0 +1,86 @@
+"""The report in a browser: a point of the scatter leads to its trial, filters filter, and nothing is loaded."""
+
+from dataclasses import replace
+
+import pytest
+
+from mrtask.analysis.page import exhibits
+from mrtask.analysis.report.report_page import render_report, write_report
+from mrtask.execution.trace import Leg, Trace
+from tests.analysis.synthetic import make_episodes
+from tests.browser import opened, started_browser
+
+EVIL = '</script><script>alert(1)</script><img src=x onerror="alert(2)">'
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with started_browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def page_path(two_room_home, tmp_path_factory):
+    home = replace(
+        two_room_home, containers=tuple(replace(container, type=EVIL) for container in two_room_home.containers)
+    )
+    trace = Trace((2.0, 1.0), ((Leg("move", 0, 1, None, None, ((2, 1), (1, 1))),),), ()).to_json()
+    planners = ["nonlearned_myopic", "learned_myopic", "pouct"]
+    frame = make_episodes(3, planners, ["small", "large"], [1, 2]).assign(home_id=home.id, trace=trace, template=EVIL)
+    folder = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        # Drawing takes most of a report's time and is tested elsewhere.
+        patch.setattr(exhibits, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
+        patch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
+        return write_report(render_report(frame, {"output_dir": "outputs/x"}, {home.id: home}), folder)
+
+
+def test_a_point_leads_to_its_trial(browser, page_path):
+    with opened(browser, page_path, images=True) as page:
+        page.locator(".filters").wait_for()
+        dots = page.locator(".dots circle")
+        assert dots.count() == 12
+        point = dots.nth(5)
+        trial_id = point.locator("title").text_content().split(":")[0]
+        point.dispatch_event("click")
+        panel = page.locator(".trial")
+        assert panel.locator("h3").inner_text() == trial_id
+        assert panel.locator("code").first.inner_text() == "F Mug & F Book"
+        assert panel.locator(".command").inner_text() == (
+            f"python -m pipeline.replay trial_id={trial_id} output_dir=outputs/x"
+        )
+        assert panel.locator(".small-map polyline").count() == 2, "the planner's path and the baseline's"
+        assert panel.locator(".small-map title").first.text_content() == EVIL
+        assert panel.locator("tr").count() == 3
+
+
+def test_filters(browser, page_path):
+    with opened(browser, page_path, images=True) as page:
+        page.locator(".filters").wait_for()
+        page.select_option("select[name=class]", label="large")
+        page.select_option("select[name=robots]", "2")
+        titles = page.locator(".dots title").all_text_contents()
+        assert len(titles) == 3 and all(title.startswith("large-2-") for title in titles)
+        assert page.inner_text(".shown") == "3 trials"
+        before = titles
+        page.select_option("select[name=other]", label="nonlearned_myopic")
+        assert page.locator(".dots title").all_text_contents() != before
+        assert page.text_content(".x-name") == "nonlearned_myopic (cells)"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_fits_a_telephone(browser, page_path, scheme):
+    with opened(browser, page_path, images=True, viewport={"width": 400, "height": 900}, color_scheme=scheme) as page:
+        page.locator(".filters").wait_for()
+        page.locator(".dots circle").first.dispatch_event("click")
+        assert page.evaluate("document.documentElement.scrollWidth") == 400
+
+
+def test_without_scripts_points_are_named_and_notable_trials_listed(browser, page_path):
+    with opened(browser, page_path, images=True, java_script_enabled=False) as page:
+        assert not page.locator(".filters").is_visible()
+        assert page.locator(".dots circle title").count() == 12
+        assert page.locator(".notable tbody tr").first.is_visible()
+        assert EVIL in page.locator("#templates ~ .scroll tbody th").all_text_contents()
+        page.locator(".answer a[href='#claims']").click()
+        assert page.url.endswith("#claims") and page.locator(".claims tbody tr").count() == 6
