@@ -1,7 +1,7 @@
 #!/bin/bash
-# Runs an evaluation on a Ray cluster made of a Slurm job's nodes.
-#   sbatch docs/clusters/slurm.sh experiment=paper output_dir=/shared/outputs/paper
-# MRTASK_VENV: an environment with mrtask[pipeline] that all nodes see.
+# Run an evaluation on a Ray cluster made of a Slurm job's nodes.
+#   sbatch docs/howto/cluster/slurm.sh experiment=paper output_dir=/shared/outputs/paper
+# MRTASK_VENV: a virtual environment with mrtask[pipeline] that all nodes can read.
 #SBATCH --job-name=mrtask
 #SBATCH --nodes=4
 #SBATCH --ntasks-per-node=1
@@ -14,7 +14,7 @@ source "${MRTASK_VENV:-.venv}/bin/activate"
 head=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | head -n 1)
 address=$(getent hosts "$head" | awk '{ print $1; exit }'):6379
 
-# The head leads and plans too; the others join it. Each `ray start --block` ends with the job.
+# The head node coordinates and also plans; the others join it. Each `ray start --block` ends with the job.
 srun --nodes=1 --ntasks=1 --nodelist="$head" \
     ray start --head --node-ip-address="${address%:*}" --port=6379 --block &
 sleep 15
