@@ -1,8 +1,8 @@
-"""Every command and program that README and the documentation print can be run as it stands.
+"""Every command and program that README and the documentation (guides included) print can be run unchanged.
 
-Python blocks are executed. Commands are read by a shell; what they call exists, and every line of Hydra overrides is
-composed and checked by the schema, as the stage does before any work. What cannot be run here is marked in the text,
-``<!-- not run: why -->``. That the stages then work is for their own tests.
+Python blocks are executed. A shell parses the commands; the programs that they call exist, and every line of Hydra
+overrides is composed and checked by the schema, as the stage does before any work. A block that cannot be run here is
+marked in the text, ``<!-- not run: why -->``. The stages have their own tests.
 """
 
 import os
@@ -20,9 +20,12 @@ from hydra.core.override_parser.types import Override
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
+from pipeline.app.given import GivenTrial, scenario_files
 from pipeline.app.main import _for_hydra
+from pipeline.app.tool import load_options, overrides
 from pipeline.live.process import read_options as live_options
 from pipeline.live.ros import read_options as ros_options
+from pipeline.scenario import VERBATIM
 from simulators.pyrobosim.__main__ import read_options
 from tests.pipeline.configured import configured
 from tests.pipeline.test_own_map import CONTAINERS, write_lab
@@ -48,7 +51,7 @@ ELSEWHERE = {
     "open",
     "python3",
 }
-"""Commands of others; what they are given is not ours to check."""
+"""Commands of other projects; their arguments are not checked."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,12 @@ def test_every_block_says_what_it_is() -> None:
     assert len([block for block in BLOCKS if block.language in ("bash", "python")]) > 20
 
 
+@pytest.mark.parametrize("guide", sorted((ROOT / "docs" / "howto").glob("*.md")), ids=lambda path: path.stem)
+def test_a_guide_opens_with_its_command(guide: Path) -> None:
+    title, _, rest = guide.read_text().partition("\n\n")
+    assert title.startswith("# ") and FENCE.match(rest), f"{guide.name}: no command right below the title"
+
+
 @pytest.mark.usefixtures("homes_made_once")
 @pytest.mark.parametrize("block", of("python"))
 def test_programs_run(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +116,7 @@ def test_commands_are_understood(block: Block, tmp_path: Path, monkeypatch: pyte
 
 
 def _commands(script: str, folder: Path) -> Iterator[list[str]]:
-    """What a shell would run, one command after the other, with its arguments as the shell leaves them."""
+    """Yield the commands that a shell would run, one after the other, with their arguments as the shell passes them."""
     called = sorted({word for word in re.findall(r"[\w./-]+", script) if re.fullmatch(r"[a-z][\w-]*", word)})
     log = folder / "calls"
     functions = "".join(
@@ -130,7 +139,7 @@ def _commands(script: str, folder: Path) -> Iterator[list[str]]:
 
 
 def _environment() -> dict[str, str]:
-    """Without what `make test ARGS=...` was given, which `make` hands on."""
+    """Leave out the arguments of `make test ARGS=...`, which `make` passes on."""
     return {name: value for name, value in os.environ.items() if name not in {"BASH_ENV", "ARGS", "MAKEFLAGS"}}
 
 
@@ -151,6 +160,9 @@ def _check(command: list[str], folder: Path) -> None:
         ros_options(arguments[2:])
     elif program == "python" and arguments[:2] == ["-m", "pipeline.live.recording"]:
         assert len(arguments) == 4
+    elif program == "python" and arguments[:2] == ["-m", "pipeline.scenario"]:
+        given = overrides(arguments[2:], VERBATIM)
+        load_options(GivenTrial, scenario_files(given, "scenario.yaml"), given)
     elif program == "python" and arguments[0] == "-m" and arguments[1].startswith("pipeline."):
         assert arguments[1].removeprefix("pipeline.") in STAGES
         _check_overrides(arguments[2:])
@@ -171,7 +183,7 @@ def _check(command: list[str], folder: Path) -> None:
 
 
 def _check_make(arguments: list[str], folder: Path) -> None:
-    """The target is there, and its recipe is one of the commands above."""
+    """Check that the target exists and that its recipe is one of the commands above."""
     (folder / ".installed").touch()
     dry = subprocess.run(
         ["make", "-n", f"VENV={folder}", *arguments], cwd=ROOT, capture_output=True, text=True, env=_environment()
@@ -189,18 +201,18 @@ def _check_overrides(arguments: list[str]) -> None:
 
 
 def _first(override: Override) -> str:
-    """Of a sweep its first value."""
+    """Return the override, with the first value only if it is a sweep."""
     if not override.is_sweep_override():
         return str(override.input_line)
     return f"{override.key_or_group}={next(iter(override.sweep_string_iterator()))}"
 
 
 def test_the_files_for_clusters_are_well_formed(tmp_path: Path) -> None:
-    script = ROOT / "docs" / "clusters" / "slurm.sh"
+    script = ROOT / "docs" / "howto" / "cluster" / "slurm.sh"
     assert subprocess.run(["bash", "-n", str(script)], capture_output=True).returncode == 0
     command = next(line for line in script.read_text().splitlines() if line.startswith("mrtask evaluate "))
     _check_overrides([one.replace("$address", "10.0.0.1:6379") for one in shlex.split(command)[2:] if one != "$@"])
-    job = yaml.safe_load((ROOT / "docs" / "clusters" / "kuberay.yaml").read_text())
+    job = yaml.safe_load((ROOT / "docs" / "howto" / "cluster" / "kuberay.yaml").read_text())
     program, stage, *overrides = job["spec"]["entrypoint"].split()
     assert (program, stage) == ("mrtask", "evaluate")
     _check_overrides(overrides)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+README_WORDS = 1000
 LINK = re.compile(r"\[[^\]]*\]\((?!https?:|mailto:)([^)\s#]+)(#[\w-]+)?\)")
 
 
@@ -32,6 +33,10 @@ def test_the_configuration_page_is_made_from_the_present_schema() -> None:
     assert (ROOT / "docs" / "configuration.md").read_text() == module.page(), told
 
 
+def test_the_readme_stays_short() -> None:
+    assert len((ROOT / "README.md").read_text().split()) <= README_WORDS
+
+
 @pytest.mark.parametrize("page", sorted(path.name for path in ROOT.glob("*.md")))
 def test_links_of_pages_beside_the_site_lead_somewhere(page: str) -> None:
     for target, _ in LINK.findall((ROOT / page).read_text()):
@@ -39,7 +44,7 @@ def test_links_of_pages_beside_the_site_lead_somewhere(page: str) -> None:
 
 
 def test_files_and_tests_that_pages_name_exist() -> None:
-    for path in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
+    for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
         for name in re.findall(
             r"`((?:mrtask|pipeline|tests|conf|examples|benchmarks|docs|simulators)/[\w./-]+)`", path.read_text()
         ):
