@@ -1,9 +1,9 @@
-"""Builds the wheel; everything else about the package is in ``pyproject.toml``.
+"""Build the wheel; everything else about the package is in ``pyproject.toml``.
 
-A checkout has two packages, ``mrtask`` and ``pipeline``. Installed beside others, a top-level package of so common a
-name would overwrite another or be overwritten, so the wheel holds ``mrtask`` alone: ``pipeline`` becomes
-``mrtask.pipeline``, by name in every file of it, and ``conf`` becomes data of the package. A checkout and an editable
-installation stay as they are. tests/test_wheel.py builds a wheel and runs it.
+A checkout has two packages, ``mrtask`` and ``pipeline``. Installed beside other software, a top-level package with
+such a common name could overwrite another one or be overwritten. So the wheel holds ``mrtask`` alone: ``pipeline``
+becomes ``mrtask.pipeline``, renamed in all its files, and ``conf`` becomes data of the package. Checkouts and editable
+installations do not change. tests/test_wheel.py builds a wheel and runs it.
 """
 
 import re
@@ -14,15 +14,15 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 PACKAGE = re.compile(r"(?<![\w./-])pipeline(?=\.[a-z_]| import\b)")
-"""The package's name in front of a module's (in imports, in quotes, after ``python -m``) or in ``from ... import``."""
+"""The package's name before a module's name (in imports, in quotes, after ``python -m``) or in ``from ... import``."""
 RENAMED_SUFFIXES = {".py", ".yaml"}
 
 
 class BuildPy(build_py):
-    """Copies the packages into the build, and in a wheel's build renames one."""
+    """Copy the packages into the build, and rename one of them if the build is a wheel."""
 
     def run(self) -> None:
-        """The build."""
+        """Build."""
         if not self.editable_mode:
             shutil.rmtree(self.build_lib, ignore_errors=True)
         super().run()
@@ -37,7 +37,7 @@ class BuildPy(build_py):
 
 
 def renamed(text: str) -> str:
-    """A file's text with ``mrtask.pipeline`` for ``pipeline``."""
+    """Replace ``pipeline`` by ``mrtask.pipeline`` in a file's text."""
     return PACKAGE.sub("mrtask.pipeline", text)
 
 

@@ -1,4 +1,4 @@
-"""Writes docs/configuration.md from the schema (pipeline/base/config.py) and from conf/, its defaults and comments.
+"""Write docs/configuration.md from the schema (pipeline/base/config.py) and from the defaults and comments in conf/.
 
 python docs/configuration_reference.py > docs/configuration.md
 """
@@ -20,9 +20,9 @@ from pipeline.base.config import UNIONS, Config
 CONF = Path(__file__).resolve().parents[1] / "conf"
 HEAD = """# Configuration
 
-Every key, with what it may be and its default, made from the schema and from `conf/` by
-`docs/configuration_reference.py`. Any of them can be given on the command line of any stage: `evaluation.robots=[1,2]`.
-A wrong key or value is refused before any work, with what is allowed. `--help` shows all keys with their values.
+This page lists every key with its allowed values and its default. `docs/configuration_reference.py` makes it from the
+schema and from `conf/`. You can give any key on the command line of any stage: `evaluation.robots=[1,2]`. A wrong key
+or value is refused before any work starts, with what is allowed. `--help` shows all keys with their values.
 
 Groups are chosen by name and bring their own keys: `homes=procthor`, `model=mlp`, `cluster=existing`,
 `experiment=smoke`.
@@ -40,12 +40,12 @@ COMMENT, KEY = re.compile(r"^( *)# ?(.*)$"), re.compile(r"^( *)([a-z_0-9]+):")
 
 
 def main() -> None:
-    """Prints the page."""
+    """Print the page."""
     sys.stdout.write(page())
 
 
 def page() -> str:
-    """The whole page."""
+    """Return the whole page."""
     top = _defaults(CONF / "config.yaml")
     parts = [HEAD, "## Top level\n", _table(Config, top, "")]
     for name, field in Config.model_fields.items():
@@ -75,7 +75,7 @@ def _union(name: str, field: FieldInfo) -> Iterator[str]:
 
 
 def _planner() -> str:
-    lines = ["## planner\n", "Options by planner; a planner of your own takes its own, under its class's name.\n"]
+    lines = ["## planner\n", "Options by planner. Your own planner takes its own options, under its class's name.\n"]
     lines += ["| key | default | |", "|---|---|---|"]
     for name, options in yaml.safe_load((CONF / "planner" / "default.yaml").read_text()).items():
         comments = _comments(CONF / "planner" / "default.yaml")
@@ -92,11 +92,11 @@ def _table(model: type[BaseModel], defaults: dict[str, tuple[Any, str]], prefix:
         default, comment = defaults.get(name, ("", ""))
         key = f"{prefix}.{name}" if prefix else name
         rows.append(f"| `{key}` | {_type(field)} | {f'`{_shown(default)}`' if default != '' else ''} | {comment} |")
-    return "\n".join(["| key | may be | default | |", "|---|---|---|---|", *rows]) + "\n" if rows else ""
+    return "\n".join(["| key | allowed | default | |", "|---|---|---|---|", *rows]) + "\n" if rows else ""
 
 
 def _table_of_section(model: type[BaseModel], defaults: dict[str, tuple[Any, str]], prefix: str) -> str:
-    """The keys of a section within a section."""
+    """Return the tables of the sections within a section."""
     parts = []
     for name, field in model.model_fields.items():
         if (inner := _model_of(field.annotation)) is not None:
@@ -107,7 +107,7 @@ def _table_of_section(model: type[BaseModel], defaults: dict[str, tuple[Any, str
 
 
 def _defaults(path: Path) -> dict[str, tuple[Any, str]]:
-    """Key -> its default and the comment above it."""
+    """Map each key to its default and the comment above it."""
     values, comments = yaml.safe_load(path.read_text()) or {}, _comments(path)
     known = {name: (value, comments.get(name, "")) for name, value in values.items()}
     for name, value in values.items():
@@ -118,7 +118,7 @@ def _defaults(path: Path) -> dict[str, tuple[Any, str]]:
 
 
 def _comments(path: Path) -> dict[str, str]:
-    """Dotted key -> the comment lines right above it."""
+    """Map each dotted key to the comment lines right above it."""
     above: list[str] = []
     parent, found = "", {}
     for number, line in enumerate(path.read_text().splitlines()):

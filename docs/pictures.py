@@ -1,4 +1,4 @@
-"""Makes the pictures of the documentation: python docs/pictures.py"""
+"""Make the pictures of the documentation: python docs/pictures.py"""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ DPI = 90
 
 
 def main() -> None:
-    """Writes all pictures."""
+    """Write all pictures."""
     FOLDER.mkdir(exist_ok=True)
     home = generate_home(seed=4, size_class="medium")
     figure = Figure(figsize=(6.5, 6.5))
