@@ -1,9 +1,9 @@
-"""Which settings a belief that learns in a home should have: its log loss on homes that nothing else is decided by.
+"""Compare settings of a belief that learns in a home, by its log loss on homes that are used for nothing else.
 
-Ten tasks in each validation home, with the contents of ProcTHOR and of people; the prior is learned from training homes
-with either contents. No robot drives: in each task the containers are searched in the order of what is believed of the
-task's objects, until all are found. Prints, for each setting, by how much adapting changes the log loss of what is
-believed from the second task on (given that an object is somewhere), with a 95 % interval over homes.
+Each validation home has ten tasks, once with ProcTHOR's contents and once with people's. The prior is learned from
+training homes with either contents. No robot drives: in each task the containers are searched in the order of the
+belief about the task's objects, until all are found. For each setting, print by how much adapting changes the log loss
+of the belief from the second task on (given that an object is somewhere), with a 95 % interval over homes.
 
     python benchmarks/bench_belief.py --files a.jsonl.gz b.jsonl.gz --assets asset-database.json --votes data.npy
 """
@@ -37,10 +37,10 @@ from pipeline.store.voted_contents import VotedContents
 
 TASKS = 10
 OBJECTS = (2, 3)
-"""How many objects a task is about: as many as most templates have."""
+"""The number of objects in a task, as in most templates."""
 HELD_OUT_EVERY = 10
 SPLIT_SALT = "0"
-"""The pipeline's seed of homes, so that both divide the same files alike."""
+"""The pipeline's seed for homes, so that both split the same files in the same way."""
 
 
 def main() -> None:
@@ -81,14 +81,14 @@ def main() -> None:
 
 
 def learned(homes: Sequence[Home]) -> LikelihoodModel:
-    """Every tenth of the homes says how far the others' counts are trusted."""
+    """Fit the prior; every tenth home decides how far the counts of the others are trusted."""
     held_out = homes[::HELD_OUT_EVERY]
     counted = [home for number, home in enumerate(homes) if number % HELD_OUT_EVERY]
     return fit(count_triples(counted), count_triples(held_out), TrainingOptions(kind="similarity"))[0]
 
 
 def tasks_in(home: Home, number: int, table: LikelihoodTable) -> list[Task]:
-    """Random objects of the home, and the containers that are searched for them."""
+    """Draw random objects of the home, and list the containers that are searched for them."""
     rng = np.random.default_rng(number)
     names = vocabulary([home])
     done = []
@@ -107,7 +107,7 @@ def tasks_in(home: Home, number: int, table: LikelihoodTable) -> list[Task]:
 def beliefs(
     homes: Sequence[Home], tasks: Sequence[Sequence[Task]], table: LikelihoodTable, options: AdaptOptions | None
 ) -> pd.DataFrame:
-    """What is believed from the second task on."""
+    """Collect the beliefs from the second task on."""
     found = pd.concat(_beliefs_in(home, done, table, options) for home, done in zip(homes, tasks, strict=True))
     return found[found["task"] > 0].reset_index(drop=True)
 

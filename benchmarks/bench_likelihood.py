@@ -1,14 +1,14 @@
-"""All likelihood models in one table: on names seen in training and on names held out, with time and memory.
+"""Compare all likelihood models in one table: on names seen in training and on names held out, with time and memory.
 
     python benchmarks/bench_likelihood.py
     python benchmarks/bench_likelihood.py --homes a.jsonl.gz b.jsonl.gz --assets asset-database.json --seeds 5
     python benchmarks/bench_likelihood.py --homes ... --votes data.npy
 
-On the homes given, else on generated ones (500 to train on, 50 to stop training by, the rest to test on, divided as
-``homes=procthor`` does). With votes, also on the same homes with people's contents. Names held out: each of five parts
-of the object types, and of the container types, is predicted by a model that was trained without it. Each training has
-a process of its own. Networks have the mean and standard deviation of several seeds; what depends on no seed is trained
-once.
+The homes are those of ``--homes``, or else generated: 500 for training, 50 for early stopping, the rest for testing,
+split as ``homes=procthor`` splits them. With votes, the models are also compared on the same homes with people's
+contents. To hold names out, each of five parts of the object types, and of the container types, is predicted by a model
+that was trained without it. Each training has a process of its own. Networks get the mean and standard deviation over
+several seeds; models that depend on no seed are trained once.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from pipeline.store.voted_contents import VotedContents
 
 HOMES = {"train": 500, "validation": 50, "test": 300}
 SPLIT_SALT = "0"
-"""The pipeline's seed of homes, so that both divide the same files alike."""
+"""The pipeline's seed for homes, so that both split the same files in the same way."""
 SMALL_LAYERS = (128, 64)
 ORDER = ("frequency", "logistic", "similarity", "mlp", "paper_fcnn")
 SEEN_METRICS = ("roc_auc", "average_precision", "log_loss", "brier", "ece")
@@ -49,7 +49,7 @@ Triples = Mapping[str, pd.DataFrame]
 
 @dataclass(frozen=True)
 class Job:
-    """One training on one dataset, and whether names are held out as well."""
+    """One training on one data set, and whether names are held out as well."""
 
     data: str
     kind: str
@@ -60,7 +60,7 @@ class Job:
 
 
 def generated_homes() -> list[Home]:
-    """As many homes as a default run generates, a third of them in each size class."""
+    """Generate as many homes as a default run, a third of them in each size class."""
     with multiprocessing.Pool() as pool:
         return pool.map(_generated_home, range(sum(HOMES.values())), chunksize=10)
 
@@ -71,7 +71,7 @@ def _generated_home(number: int) -> Home:
 
 
 def triples_of(homes: Sequence[Home], by_split: HomeSplit) -> Triples:
-    """Counts of the homes by split, about the objects of the training homes; ``homes`` are in the split's order."""
+    """Count the homes' triples by split, for the objects of the training homes; ``homes`` are in the split's order."""
     by_id = dict(zip([*by_split.train, *by_split.validation, *by_split.test], homes, strict=True))
     parts = {name: [by_id[home_id] for home_id in getattr(by_split, name)] for name in SPLITS}
     objects = vocabulary(parts["train"])
@@ -79,7 +79,7 @@ def triples_of(homes: Sequence[Home], by_split: HomeSplit) -> Triples:
 
 
 def measure(task: tuple[Job, Triples]) -> dict[str, object]:
-    """Train, score, and say what it took."""
+    """Train and score a model, and measure time and memory."""
     job, triples = task
     layers = SMALL_LAYERS if job.kind == "mlp" else PAPER_LAYERS
     network = NetworkOptions(layers=layers, threads=job.threads, seed=job.seed, device="cpu")
@@ -98,7 +98,7 @@ def measure(task: tuple[Job, Triples]) -> dict[str, object]:
 
 
 def jobs(data: Sequence[str], arguments: argparse.Namespace) -> Iterator[Job]:
-    """Every model on every dataset; networks with every seed."""
+    """List every model on every data set; networks with every seed."""
     for name in data:
         for kind in (kind for kind in ORDER if kind in arguments.kinds):
             for seed in range(arguments.seeds if kind in ("paper_fcnn", "mlp") else 1):

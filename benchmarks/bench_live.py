@@ -1,10 +1,11 @@
-"""How long a live team thinks: from an event's line to its orders, with a limit of 0.2 s on a decision.
+"""Measure how long a live team takes from an event's line to its orders, with a limit of 0.2 s on a decision.
 
     python benchmarks/bench_live.py [--teams 12] [--planner pouct] [--limit 0.2] [--samples 100000]
 
-50 containers, 3 robots, a task over four objects, in a generated home. Every event is parsed, taken in, decided on,
-saved and logged, as in the live process; robots drive in simulated time. Printed are median, 99th percentile and
-maximum over the events after which the planner decided, and over all others. Wall times: they want a quiet machine.
+The team has 3 robots and a task over four objects, in a generated home with 50 containers. Every event is parsed,
+processed, decided on, saved and logged, as in the live process; robots drive in simulated time. Print the median, 99th
+percentile and maximum over the events after which the planner decided, and over all others. These are wall times, so
+use a quiet machine.
 """
 
 import argparse
@@ -34,7 +35,7 @@ SEEDS = range(200)
 
 
 def big_home() -> tuple[Home, HomeMap]:
-    """The first generated home with at least so many containers that can be reached."""
+    """Return the first generated home with at least this many reachable containers."""
     for seed in SEEDS:
         home = parse_house(generate_house(seed, "large"), None, "generated", seed)
         if len(home.containers) >= CONTAINERS:
@@ -45,14 +46,14 @@ def big_home() -> tuple[Home, HomeMap]:
 
 
 class Robots:
-    """Do as ordered, in simulated time, and say so in lines of JSON."""
+    """Robots that carry out orders in simulated time and report in lines of JSON."""
 
     def __init__(self, contents: dict[str, tuple[str, ...]]) -> None:
         self.contents, self.time_s, self.count = contents, 0.0, 0
         self.due: dict[str, tuple[float, dict]] = {}
 
     def obey(self, lines: list[str]) -> None:
-        """Takes in what the live team says."""
+        """Take the orders from the live team's lines."""
         for message in map(json.loads, lines):
             if message["type"] == "order":
                 took_s = {"search": SPEC.search_time_s, "interact": SPEC.interact_time_s, "wait": np.inf}.get(
@@ -61,7 +62,7 @@ class Robots:
                 self.due[message["robot"]] = (self.time_s + took_s, message)
 
     def next_event(self) -> str | None:
-        """What happens next; None when nobody does anything."""
+        """Return the next event, or None if no robot does anything."""
         robot, (at_s, order) = min(self.due.items(), key=lambda item: item[1][0])
         if at_s == np.inf:
             return None
@@ -78,7 +79,7 @@ class Robots:
 
 
 def run_team(home: Home, home_map: HomeMap, seed: int, args: argparse.Namespace, folder: Path) -> tuple[list, list]:
-    """Seconds from line to answer over a whole task: of events with a decision, and of those without."""
+    """Return the seconds from line to answer over a whole task, for events with a decision and for those without."""
     rng = np.random.default_rng(seed)
     reachable = np.flatnonzero(home_map.reachable)
     places = rng.choice(reachable, len(OBJECTS), replace=False)
@@ -113,14 +114,14 @@ def run_team(home: Home, home_map: HomeMap, seed: int, args: argparse.Namespace,
 
 
 def show(name: str, seconds: list[float], limit_s: float | None) -> None:
-    """One line of the table."""
+    """Print one line of the table."""
     ms = np.array(seconds) * 1000
     late = f"{(np.array(seconds) > limit_s).mean():9.1%}" if limit_s else ""
     print(f"{name:<28}{len(ms):8}{np.median(ms):10.1f}{np.percentile(ms, 99):10.1f}{ms.max():10.1f}{late}")
 
 
 def main() -> None:
-    """Runs the benchmark."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--teams", type=int, default=12)
     parser.add_argument("--planner", default="pouct")

@@ -1,10 +1,10 @@
-"""CPU seconds per home on one core (generating, map, travel times; median and 99th percentile by size) and memory.
+"""Measure CPU seconds per home on one core (generating, map, travel times; median, 99th percentile) and memory.
 
     python benchmarks/bench_maps.py [--homes 40] [--files homes.jsonl.gz ... --assets asset-database.json]
 
-Without files the homes are generated. "map" is the grid and the access cells, "travel times" the distance fields from
-all containers; on the first few homes of a class they are compared with two libraries. "memory" is what a map holds,
-and the largest home's peak while it is built.
+Figures are by size class. Without files the homes are generated. "map" is the grid and the access cells, "travel times"
+the distance fields from all containers; on the first few homes of a class they are compared with two libraries.
+"memory" is what a finished map holds, and the largest home's peak while its map is built.
 """
 
 import argparse
@@ -62,7 +62,7 @@ def row(name: str, times: list[float]) -> None:
 
 
 def time_maps(members: list[Home]) -> dict[str, list[float]]:
-    """Seconds of each home's map, by part."""
+    """Return the seconds of each home's map, by part."""
     times: dict[str, list[float]] = {"map": [], "travel times": [], "map and travel times": []}
     for home in members:
         began = time.process_time()

@@ -1,10 +1,11 @@
-"""What a likelihood model is worth to the mission: `pouct`'s mean cost with each model on the same trials.
+"""Measure what a likelihood model is worth to the mission: `pouct`'s mean cost with each model on the same trials.
 
     python benchmarks/bench_mission.py --homes a.jsonl.gz b.jsonl.gz --assets asset-database.json
 
-Beside the models: a uniform belief (every object as likely in every container: the training rows' share of positives)
-and the true contents (`known`, the same search). Models are trained on 500 homes, trials are on the homes left over;
-without ``--homes`` on generated ones. Costs are in seconds at 1 m/s, of the trials that all finished.
+The models are compared with a uniform belief (the training rows' share of positives for every object and container) and
+with the true contents (`known`, the same search). Models are trained on 500 homes, and trials are on the remaining
+ones; without ``--homes`` all homes are generated. Costs are in seconds at 1 m/s, over the trials that finished under
+all beliefs.
 """
 
 import argparse
@@ -39,25 +40,25 @@ UNIFORM, TRUTH = "uniform", "known contents"
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """What the planner is told of where objects lie."""
+    """What the planner is told about where objects lie."""
 
     tables: Mapping[str, LikelihoodTable]
     uniform_prob: float
 
     def likelihood(self, name: str, home: Home, objects: Sequence[str]) -> NDArray[np.float64]:
-        """``[C, O]``; the planner that knows the contents does not look at it."""
+        """Return the likelihoods ``[C, O]``; the planner that knows the contents does not use them."""
         if name in self.tables:
             return self.tables[name].matrix(home, objects)
         return np.full((len(home.containers), len(objects)), self.uniform_prob)
 
 
 def map_of(home: Home) -> HomeMap:
-    """The home's map, from the user's cache where it is there."""
+    """Return the home's map, from the user's cache if it has the map."""
     return cached_map(home, default_cache_dir() / "maps")
 
 
 def sample_trials(homes: Sequence[Home], per_cell: int) -> list[Trial]:
-    """``per_cell`` trials for each size class and team size."""
+    """Sample ``per_cell`` trials for each size class and team size."""
     seen = cache(map_of)
     return [
         sample_trial(size_class, robots, number, order, seen, seed=0)
@@ -69,7 +70,7 @@ def sample_trials(homes: Sequence[Home], per_cell: int) -> list[Trial]:
 
 
 def run_trial(task: tuple[Trial, Home, Beliefs, int]) -> dict[str, object]:
-    """The cost of one trial under every belief; NaN where the task could not be done."""
+    """Return the cost of one trial under every belief; NaN if the task could not be done."""
     trial, home, beliefs, samples = task
     home_map = map_of(home)
     row: dict[str, object] = {"size_class": trial.size_class}

@@ -1,11 +1,11 @@
-"""The POUCT of pomdp-py beside ours, on the frozen suite's single-robot trials, with the same time for each decision.
+"""Compare pomdp-py's POUCT with ours on the frozen suite's single-robot trials, with the same time for each decision.
 
     pip install pomdp-py && python benchmarks/bench_peers.py --trials 12 --seconds 0.2
 
-pomdp-py (Zheng and Tellex 2020) searches the problem as its user would write it down: a state is the robot's place, the
+pomdp-py (Zheng and Tellex 2020) searches the problem as its user would write it down. A state is the robot's place, the
 task's state, what was searched and what lies where; an action is a container; an observation is what a search shows.
-Its root belief is drawn from ours, conditioned on every object existing, so both know the same. Rollouts are random,
-over containers that can still help. Ours runs with a time limit instead of a number of samples.
+Its root belief is drawn from ours, conditioned on every object existing, so both know the same. Its rollouts are random
+over containers that can still help. Our planner runs with a time limit instead of a number of samples.
 """
 
 import argparse
@@ -99,7 +99,7 @@ class Domain:
             task = int(self.automaton.transitions[task, advancing[0]])
 
     def choices(self, state: Where) -> list[GoTo]:
-        """Containers nobody has searched, and those known to hold what advances the task."""
+        """Return the unsearched containers, and those known to hold an object that advances the task."""
         return [
             GoTo(container)
             for container in self.reachable
@@ -111,7 +111,7 @@ class Domain:
         ] or [GoTo(self.reachable[0])]
 
     def worlds(self, rng: np.random.Generator) -> Iterable[Where]:
-        """States drawn from the belief, in which every object is somewhere."""
+        """Draw states from the belief in which every object is somewhere."""
         probs = self.problem.presence_prob.copy()
         probs[[container for container in range(len(probs)) if container not in self.reachable]] = 0.0
         known = self.problem.found()
@@ -131,7 +131,7 @@ class Domain:
 
 
 class Transition(pomdp_py.TransitionModel):
-    """What an action leads to."""
+    """The transition model: the state after an action."""
 
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
@@ -141,14 +141,14 @@ class Transition(pomdp_py.TransitionModel):
 
 
 class Observing(pomdp_py.ObservationModel):
-    """What is seen there."""
+    """The observation model: what the robot sees after an action."""
 
     def sample(self, next_state: Where, action: GoTo) -> Seen:
         return Seen(next_state.holds[action.container])
 
 
 class Reward(pomdp_py.RewardModel):
-    """Minus the seconds that an action takes."""
+    """The reward model: minus the seconds that an action takes."""
 
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
@@ -160,7 +160,7 @@ class Reward(pomdp_py.RewardModel):
 
 
 class Choices(pomdp_py.RolloutPolicy):
-    """Which actions there are, and a random one."""
+    """The policy model: the possible actions, and a random one of them."""
 
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
@@ -203,7 +203,7 @@ class PomdpPy:
 
 
 def main() -> None:
-    """Prints mean costs on the same trials, and what ours saves with 95 % intervals."""
+    """Print mean costs on the same trials, and what our planner saves with 95 % intervals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=12)
     parser.add_argument("--seconds", type=float, default=0.2, help="for each decision")

@@ -1,9 +1,9 @@
-"""Speed and memory of the search planners on one core: samples per second by team size and number of containers.
+"""Measure the search planners on one core: samples per second by team size and number of containers, and memory.
 
     python benchmarks/bench_planners.py [samples]
 
-Random problems on a square of 12 m, three objects in any order. CPU time counts, so another load on the machine
-disturbs less; compare figures of one run with each other.
+The problems are random, on a square of 12 m, with three objects in any order. CPU time counts, so other load on the
+machine matters less. Only compare figures from the same run.
 """
 
 import os
@@ -33,7 +33,7 @@ ONE_PLAN = (
 
 
 def random_problem(robots: int, containers: int, seed: int = 0) -> PlanningProblem:
-    """A problem on the plane with skewed likelihoods and all robots at one start."""
+    """Draw a problem on the plane with skewed likelihoods and all robots at one start."""
     rng = np.random.default_rng(seed)
     automaton = build_automaton(make_formula("and3", OBJECTS), OBJECTS)
     points, start = rng.random((containers, 2)) * 12, rng.random(2) * 12
@@ -45,7 +45,7 @@ def random_problem(robots: int, containers: int, seed: int = 0) -> PlanningProbl
 
 
 def samples_per_second(planner_name: str, problem: PlanningProblem, samples: int) -> float:
-    """The samples a plan really took over its CPU time."""
+    """Return the number of samples that a plan took, divided by its CPU time."""
     planner = make_planner(planner_name, {"samples": samples})
     began_s = time.process_time()
     plan = planner.plan(problem, seed=0)
@@ -53,14 +53,14 @@ def samples_per_second(planner_name: str, problem: PlanningProblem, samples: int
 
 
 def compile_seconds(planner_name: str, cache_dir: str) -> float:
-    """CPU seconds of a process's first plan."""
+    """Return the CPU seconds of a process's first plan."""
     command = [sys.executable, "-c", ONE_PLAN.format(planner=planner_name)]
     environment = os.environ | {"NUMBA_CACHE_DIR": cache_dir}
     return float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
 
 
 def main() -> None:
-    """Prints the tables."""
+    """Print the tables."""
     samples = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
     print(f"thousand samples per CPU second, {samples} samples at most, {len(OBJECTS)} objects")
     print(f"{'planner':12} {'robots':>6} " + " ".join(f"{containers:>4} containers" for containers in CONTAINERS))

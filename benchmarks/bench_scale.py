@@ -1,10 +1,10 @@
-"""What running episodes over Ray costs: workers, a cluster of several nodes, overhead per episode, 10,000 in one run.
+"""Measure what running episodes over Ray costs: workers, several nodes, overhead per episode, 10,000 in one run.
 
     python benchmarks/bench_scale.py [--part workers|cluster|overhead|many] [--samples 10000] [--episodes 10000]
 
-Without --part all four, in about five minutes on two cores. "around" an episode is the CPU time of all processes
-(driver, Ray, workers) less the CPU time inside the episodes of the same run, and less what Ray's processes take anyway,
-measured at rest, so another load on the machine disturbs it little; episodes per second want a quiet machine.
+Without --part all four parts run, in about five minutes on two cores. The CPU time "around" an episode is that of all
+processes (driver, Ray, workers) minus the CPU time inside the episodes of the same run, minus what Ray's processes take
+at rest. So other load on the machine hardly matters there; episodes per second need a quiet machine.
 """
 
 import argparse
@@ -38,7 +38,7 @@ from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12
 TRIALS = 180
-"""Of a measurement; a fifth as many before it start the workers."""
+"""Episodes in a measurement; a fifth of this number runs before it, to start the workers."""
 MEMORY_PER_TASK_GB = 0.25
 NODES = 4
 REST_S = 5.0
@@ -66,22 +66,22 @@ class Measured:
     inside_s: float
     """CPU time inside the episodes."""
     around_s: float
-    """All other CPU time of driver, Ray and workers, but for what they take at rest."""
+    """All other CPU time of driver, Ray and workers, except what they take at rest."""
     rest_share: float
-    """Of a core that Ray's processes take at rest."""
+    """The share of a core that Ray's processes take at rest."""
     idle_share: float
-    """Of the workers' time between their first and last episode."""
+    """The share of the workers' time between their first and last episode in which they had no episode."""
 
 
 def timed(key: EpisodeKey, context: Context) -> Spent:
-    """Runs an episode and forgets its row."""
+    """Run an episode and discard its row."""
     began_s, cpu_s = time.monotonic(), time.thread_time()
     run_one(key, context)
     return Spent(os.getpid(), began_s, time.monotonic(), time.thread_time() - cpu_s)
 
 
 def make_context(samples: int) -> Context:
-    """Generated homes and a frequency table, as an evaluation would share them."""
+    """Make generated homes and a frequency table, as an evaluation would share them."""
     homes = [
         parse_house(generate_house(seed, SIZE_CLASSES[seed % len(SIZE_CLASSES)]), None, "bench", seed)
         for seed in range(TRAINING_HOMES + EVALUATION_HOMES)
@@ -101,12 +101,12 @@ def make_context(samples: int) -> Context:
 
 
 def trial_keys(count: int, planner: str = PLANNER) -> list[EpisodeKey]:
-    """Trials of all size classes with one to three robots in turn."""
+    """List trials of all size classes, with one to three robots in turn."""
     return [EpisodeKey(SIZE_CLASSES[number % 3], 1 + number // 3 % 3, number // 9, planner) for number in range(count)]
 
 
 def all_cpu_s() -> float:
-    """CPU time so far of this process and all below it that are alive."""
+    """Return the CPU time so far of this process and its living descendants."""
     total_s = 0.0
     own = psutil.Process()
     for process in [own, *own.children(recursive=True)]:
@@ -119,7 +119,7 @@ def all_cpu_s() -> float:
 
 
 def measure(pool: Pool, keys: Sequence[EpisodeKey], context: Context) -> Measured:
-    """Runs the episodes on workers that are warm."""
+    """Run the episodes on workers that are warm."""
     for _ in pool.run(timed, keys[: max(len(keys) // 5, 4 * pool.slots)], context):
         pass
     before_s = all_cpu_s()
@@ -137,7 +137,7 @@ def measure(pool: Pool, keys: Sequence[EpisodeKey], context: Context) -> Measure
 
 
 def idle_share(spent: Sequence[Spent]) -> float:
-    """The part of the workers' time between their first and last episode in which they had none."""
+    """Return the share of the workers' time between their first and last episode in which they had no episode."""
     by_process: defaultdict[int, list[Spent]] = defaultdict(list)
     for one in spent:
         by_process[one.process].append(one)
@@ -163,7 +163,7 @@ def local(cpus: int) -> Cluster:
 
 
 def part_workers(samples: int, trials: int) -> None:
-    """(a) The same trials on one and two workers."""
+    """Run part (a): the same trials on one worker and on two."""
     context, keys, runs = make_context(samples), trial_keys(trials), {}
     warm(keys[0], context)
     heading()
@@ -180,7 +180,7 @@ def part_workers(samples: int, trials: int) -> None:
 
 
 def part_cluster(samples: int, trials: int) -> None:
-    """(b) The same trials on nodes of one core each, all on this machine."""
+    """Run part (b): the same trials on nodes of one core each, all on this machine."""
     context, keys = make_context(samples), trial_keys(trials)
     warm(keys[0], context)
     logging.getLogger("ray").setLevel(logging.ERROR)
@@ -196,7 +196,7 @@ def part_cluster(samples: int, trials: int) -> None:
 
 
 def part_overhead(samples: int, trials: int) -> None:
-    """(c) A plain loop against one worker."""
+    """Run part (c): a plain loop against one worker."""
     context, keys = make_context(samples), trial_keys(trials)
     for key in keys[: len(keys) // 5]:
         run_one(key, context)
@@ -214,7 +214,7 @@ def part_overhead(samples: int, trials: int) -> None:
 
 
 def part_many(episodes: int) -> None:
-    """(d) Many cheap episodes in one run of `pipeline.evaluate`, and its report."""
+    """Run part (d): many cheap episodes in one run of `pipeline.evaluate`, and its report."""
     trials = -(-episodes // (9 * len(CHEAP)))
     overrides = [
         "homes.train=12", "homes.validation=3", "homes.test=60", "model=frequency",
@@ -248,7 +248,7 @@ def stage(name: str, overrides: Sequence[str]) -> list[str]:
 
 
 def watch(driver: "subprocess.Popen[bytes]", parts: Path) -> list[tuple[float, float, float, float, int, float]]:
-    """Until the driver ends: seconds, MB of driver, of all workers and of the largest, part files and their MB."""
+    """Watch until the driver ends: seconds; MB of driver, all workers and the largest; part files and their MB."""
     began_s, moments = time.monotonic(), []
     process = psutil.Process(driver.pid)
     while driver.poll() is None:
@@ -268,12 +268,12 @@ def watch(driver: "subprocess.Popen[bytes]", parts: Path) -> list[tuple[float, f
 
 
 def memory_mb(process: psutil.Process) -> float:
-    """What the process has for itself: without what it shares."""
+    """Return the memory that the process does not share with others."""
     return float(process.memory_full_info().uss) / 2**20
 
 
 def main() -> None:
-    """Runs the parts, each in a process of its own."""
+    """Run the parts, each in a process of its own."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--part", choices=["workers", "cluster", "overhead", "many"])
     parser.add_argument("--samples", type=int, default=10_000)

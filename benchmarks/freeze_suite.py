@@ -1,8 +1,8 @@
-"""Makes a frozen suite's file: homes and trials drawn anew, likelihoods of the default model, lengths of all ways.
+"""Make the file of a frozen suite: newly drawn homes and trials, the default model's likelihoods, all path lengths.
 
     python benchmarks/freeze_suite.py mrtask-2 --seed 2
 
-A suite that was published is never made again: another one gets another name. Its sha256 goes into
+A published suite is never made again; a new suite gets a new name. Its sha256 goes into
 ``mrtask/suite/frozen.py``, its scores come from ``benchmarks/record_scores.py``.
 """
 
@@ -24,11 +24,11 @@ TRIALS_PER_CELL = 20
 ROBOTS = (1, 2, 3)
 TRAINING_HOMES = 150
 SEEDS_APART = 1_000_000
-"""Between the generator's seeds of homes to evaluate on and of homes to learn from, and between suites."""
+"""The distance between the generator's seeds for evaluation homes and for training homes, and between suites."""
 
 
 def main() -> None:
-    """Freezes a suite."""
+    """Freeze a suite."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name")
     parser.add_argument("--seed", type=int, required=True)

@@ -1,6 +1,6 @@
-"""Records our planners' episodes on a suite; to be run when a planner, the simulation or the maps have changed.
+"""Record our planners' episodes on a suite; run this when a planner, the simulation or the maps have changed.
 
-python benchmarks/record_scores.py [pouct_paper ...]      (all of them where none is named)
+python benchmarks/record_scores.py [pouct_paper ...]      (without names: all of them)
 """
 
 import os
@@ -18,7 +18,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "mrtask" / "suite"
 
 
 def main() -> None:
-    """Runs the planners and writes the costs; those of the others stay."""
+    """Run the planners and write their costs; the costs of the other planners stay."""
     suite = DEFAULT_SUITE
     path = FOLDER / recorded.file_name(suite)
     columns: dict[str, pd.Series] = {}

@@ -1,9 +1,9 @@
-"""Derives ``catalogue.yaml`` from ProcTHOR homes: facts for the generator and for reading homes without asset database.
+"""Derive ``catalogue.yaml`` from ProcTHOR homes: facts for the generator, and for reading homes without asset database.
 
     python tools/derive_catalogue.py homes.jsonl.gz [more ...] --assets asset-database.json
 
-Only aggregates are kept: counts, shares and rounded sizes. The rooms of a type fall into six classes of equal number by
-floor area, since what stands in a room depends on its size.
+Only aggregates are kept: counts, shares and rounded sizes. The rooms of a type are divided by floor area into six
+classes of equal number, since the furniture of a room depends on its size.
 """
 
 import argparse
@@ -34,7 +34,7 @@ FOOTPRINT_QUANTILES = np.linspace(0, 1, 21)
 MAX_ASSETS_PER_TYPE = 12
 AT_WALL_M = 0.12
 GROUP_GAP_M = 0.3
-"""A chair this near to a table or desk belongs to it."""
+"""A chair at most this far from a table or desk belongs to it."""
 CHAIR_HOSTS = ("DiningTable", "Desk")
 MIN_SHARE = 0.002
 
@@ -54,14 +54,14 @@ class _Item:
         self.host: _Item | None = None
 
     def at_wall(self, walls: LineString) -> tuple[bool, bool]:
-        """Whether it stands with its back to a wall, and whether also with one side to a wall: in a corner."""
+        """Say whether it stands with its back to a wall, and whether also with a side to a wall (in a corner)."""
         near = [walls.distance(Point(corner)) < AT_WALL_M for corner in self.corners]
         back = near[0] and near[1]
         return back, back and ((near[1] and near[2]) or (near[3] and near[0]))
 
 
 def derive(homes: Iterable[House], assets: Mapping[str, Asset]) -> dict[str, Any]:
-    """The catalogue as plain data, from decoded house JSONs and the asset database."""
+    """Return the catalogue as plain data, from decoded house JSONs and the asset database."""
     homes = list(homes)
     rooms = [room for home in homes for room in _rooms(home, assets)]
     edges = {
@@ -142,7 +142,7 @@ def _home_facts(homes: list[House]) -> dict[str, Any]:
 
 
 def _footprint_facts(homes: list[House]) -> dict[str, dict[str, list[float]]]:
-    """Quantiles by size class: the side of the floor plan's cells, its share of the bounding box, the box's aspect."""
+    """Return quantiles by size class: the floor plan's cell side, its share of the bounding box, the box's aspect."""
     found: dict[str, dict[str, list[float]]] = {name: {"cell_m": [], "fill": [], "aspect": []} for name in SIZE_CLASSES}
     for home in homes:
         floors = [_floor(room) for room in home["rooms"]]
@@ -163,7 +163,7 @@ def _footprint_facts(homes: list[House]) -> dict[str, dict[str, list[float]]]:
 
 
 def _cell_side_m(floors: Iterable[Polygon]) -> float:
-    """The side of the grid cells that rooms are made of: all distances between their walls are multiples of it."""
+    """Return the side of the grid cells that make up the rooms; wall distances are multiples of it."""
     coordinates = np.concatenate([get_coordinates(floor) for floor in floors])
     gaps = np.concatenate([np.diff(np.unique(np.round(values, 2))) for values in coordinates.T])
     counts = gaps[gaps > MIN_CELL_M / 2] / CELL_SIDES_M[:, None]
@@ -200,7 +200,7 @@ def _door_facts(homes: list[House], rooms: list[dict[str, Any]]) -> dict[str, An
 
 
 def _histogram(counts: Iterable[int]) -> list[float]:
-    """Share of 0, 1, 2, ..."""
+    """Return the shares of 0, 1, 2, ..."""
     tally = Counter(counts)
     total = sum(tally.values())
     return [round(tally[n] / total, 4) for n in range(max(tally) + 1)]
@@ -275,7 +275,7 @@ def _type_facts(
 
 
 def _representative(used: Counter[str], own: Mapping[str, Asset], number: int) -> list[str]:
-    """Assets at evenly spaced quantiles of footprint area, so that drawing each as often keeps the spread of sizes."""
+    """Pick assets at evenly spaced quantiles of footprint area, so that uniform draws keep the spread of sizes."""
     ranked = sorted(used.elements(), key=lambda name: (own[name].size_m.x * own[name].size_m.z, name))
     places = (np.arange(number) + 0.5) / number * len(ranked)
     return list(dict.fromkeys(ranked[int(place)] for place in places))
@@ -305,7 +305,7 @@ def _read(files: Iterable[Path]) -> Iterator[House]:
 
 
 def main() -> None:
-    """Write the catalogue beside this module."""
+    """Write the catalogue to ``--out``, by default its place in the library."""
     parser = argparse.ArgumentParser(description="derive the furniture catalogue from ProcTHOR homes")
     parser.add_argument("files", nargs="+", type=Path, help=".jsonl.gz files of ProcTHOR houses")
     parser.add_argument("--assets", required=True, type=Path, help="ProcTHOR's asset-database.json")
