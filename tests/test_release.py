@@ -21,7 +21,7 @@ def test_licence_version_and_citation_agree() -> None:
     assert "Apache License" in (ROOT / "LICENSE").read_text() and "Version 2.0" in (ROOT / "LICENSE").read_text()
     assert citation["version"] == PROJECT["version"]
     paper = citation["references"][0]
-    published = tomllib.loads((ROOT / "mrtask" / "analysis" / "published.toml").read_text())["source"]
+    published = tomllib.loads((ROOT / "mrtask" / "analysis" / "results" / "published.toml").read_text())["source"]
     assert paper["title"] == published["title"]
     assert ", ".join(author["family-names"] for author in paper["authors"]) == published["authors"]
     assert paper["identifiers"][0]["value"].endswith(published["arxiv"])
