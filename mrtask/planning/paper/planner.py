@@ -95,17 +95,14 @@ class PaperOptions(SearchOptions):
             raise ValueError(f"round_decimals must be >= 0 or null, not {self.round_decimals}")
 
 
-class PaperPouct:
-    """The paper's search planner; see the module."""
+class PaperPouct(PaperOptions):
+    """The paper's search planner, made from its options: ``PaperPouct(leaf="zero")``; see the module."""
 
     knows_contents = False
 
-    def __init__(self, options: PaperOptions) -> None:
-        self.options = options
-
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels: one sample."""
-        PaperPouct(replace(self.options, samples=1)).plan(problem, seed=0)
+        """Compiles the kernels by planning with one sample."""
+        replace(self, samples=1).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -117,9 +114,9 @@ class PaperPouct:
         free = [index for index, robot in enumerate(problem.robots) if robot.free]
         if problem.automaton.accepting[problem.state] or not free:
             return Plan({index: Assignment(WAIT) for index in free})
-        search = PaperSearch(problem, self.options, seed)
-        choose = _Choice(problem, search, self.options.choice)
-        done = run_search(self.options, search.run, choose.is_settled)
+        search = PaperSearch(problem, self, seed)
+        choose = _Choice(problem, search, self.choice)
+        done = run_search(self, search.run, choose.is_settled)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
