@@ -13,12 +13,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from mrtask.arrays import Bools, Floats
 from mrtask.planning.problem import (
     REASSIGN,
     WAIT,
     Assignment,
-    BoolArray,
-    FloatArray,
     Plan,
     PlanningProblem,
     check_choice,
@@ -71,7 +70,7 @@ class MyopicPlanner(ABC):
         return Plan({robot: assignments.get(robot, Assignment(WAIT)) for robot in deciding})
 
     @abstractmethod
-    def _shortlist(self, problem: PlanningProblem, open_to_search: BoolArray, robots: int) -> BoolArray:
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
         """[C] the containers that ``robots`` robots divide, out of those ``open_to_search`` [C]."""
 
     def _searches(self, problem: PlanningProblem, team: list[int], taken: set[int]) -> dict[int, Assignment]:
@@ -87,16 +86,16 @@ class MyopicPlanner(ABC):
 class NonlearnedMyopic(MyopicPlanner):
     """Searches the nearest containers first, whatever they may hold."""
 
-    def _shortlist(self, problem: PlanningProblem, open_to_search: BoolArray, robots: int) -> BoolArray:
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
         return open_to_search
 
 
 class LearnedMyopic(MyopicPlanner):
     """Searches the containers with the highest summed likelihood of the objects still needed and not yet found."""
 
-    def _shortlist(self, problem: PlanningProblem, open_to_search: BoolArray, robots: int) -> BoolArray:
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
         wanted = needed(problem.automaton)[problem.state] & ~problem.found()
-        score: FloatArray = np.where(open_to_search, problem.presence_prob @ wanted.astype(float), -np.inf)
+        score: Floats = np.where(open_to_search, problem.presence_prob @ wanted.astype(float), -np.inf)
         chosen = np.zeros_like(open_to_search)
         chosen[np.argsort(-score, kind="stable")[:robots]] = True
         return chosen & open_to_search

@@ -25,11 +25,11 @@ from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
 from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
+from mrtask.planning.shared_kernel import NONE
 from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.team_model import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.tree import (
     NODES,
-    NONE,
     SearchOptions,
     Tree,
     empty_tree,
