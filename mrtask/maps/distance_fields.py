@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mrtask.arrays import Bools, Floats, Int32s, UInt8s
+from mrtask.sources import use_kernel_cache
+
+use_kernel_cache()
 
 WALL_MARGIN_M = 0.5
 WALL_COST = 5.0
