@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
+from typing import Any
 
 from mrtask.files import default_cache_dir
 
@@ -31,8 +32,9 @@ def use_kernel_cache() -> Path:
     """
     import numba.core.config
 
-    folder = Path(numba.core.config.CACHE_DIR or default_cache_dir() / "numba") / hash_folders(*KERNEL_SOURCES)
-    numba.core.config.CACHE_DIR = str(folder)
+    config: Any = numba.core.config  # its settings are made when it is imported
+    folder = Path(config.CACHE_DIR or default_cache_dir() / "numba") / hash_folders(*KERNEL_SOURCES)
+    config.CACHE_DIR = str(folder)
     return folder
 
 
