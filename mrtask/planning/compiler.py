@@ -46,3 +46,5 @@ class PartCompiler(Compiler):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.state.library = _PartCode(self.state.targetctx.codegen(), "part")
+        self.state.flags = self.state.flags.copy()
+        self.state.flags.noalias = True  # nothing that a part is given changes through something else it is given
