@@ -7,11 +7,11 @@ Python's version nor those of other packages.
 
 import ast
 import hashlib
-import os
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
+from typing import Any
 
 from mrtask.files import default_cache_dir
 
@@ -23,13 +23,19 @@ KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/bounds")
 """The packages that hold compiled kernels."""
 
 
-def use_kernel_cache() -> None:
-    """Sets numba's cache folder, unless it is set, to one named after the hash of the packages that hold kernels.
+@cache
+def use_kernel_cache() -> Path:
+    """Set numba's cache folder to one named after the hash of the packages that hold kernels, and return it.
 
-    numba does not notice when a function that a cached kernel calls was edited in another file. To be called before
-    numba is imported.
+    numba does not notice when a function that a cached kernel calls was edited in another file. Every module that
+    declares kernels calls this first. The folder lies in ``$NUMBA_CACHE_DIR``, or else in our own cache folder.
     """
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(default_cache_dir() / "numba" / hash_folders(*KERNEL_SOURCES)))
+    import numba.core.config
+
+    config: Any = numba.core.config  # its settings are made when it is imported
+    folder = Path(config.CACHE_DIR or default_cache_dir() / "numba") / hash_folders(*KERNEL_SOURCES)
+    config.CACHE_DIR = str(folder)
+    return folder
 
 
 def hash_folders(*folders: str, root: Path = ROOT) -> str:

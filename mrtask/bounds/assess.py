@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
 from mrtask.execution.episode import run_episode
@@ -20,7 +20,7 @@ from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
+from mrtask.planning.solver_belief import belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 
 
@@ -28,7 +28,7 @@ def assess(
     trial: Trial,
     home: Home,
     home_map: HomeMap,
-    likelihood: NDArray[np.float64],
+    likelihood: Floats,
     planner: str,
     options: Mapping[str, object],
     worlds: int,

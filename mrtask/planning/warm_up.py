@@ -1,40 +1,47 @@
-"""Compiles planners' kernels before they are needed: each set of kernels in a process of its own, several at once.
+"""Compile planners' kernels before they are needed, each set of kernels in its own process, several at once.
 
-The processes leave them in numba's cache on disk, where every other process finds them. numba itself compiles one
-function at a time.
+The processes leave the kernels in numba's cache on disk, where every other process finds them. numba itself compiles
+one function at a time.
 """
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from contextlib import suppress
 from types import TracebackType
 
 import numpy as np
 
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.sources import use_kernel_cache
 from mrtask.tasks.automaton import build_automaton
 
 Planners = Mapping[str, tuple[str, Mapping[str, object]]]
-"""The name and the options of planners, under what they are called here."""
+"""The name and the options of each planner, by its label."""
+MARK = "compiled"
+"""The file in the kernels' cache folder that says that planners were compiled there."""
 
 
 def kernels_missing() -> bool:
-    """Whether numba's cache folder has no planner's kernel yet: a new machine, or other code."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    return folder is not None and not any(Path(folder).glob("planning_*/*.nbi"))
+    """Return whether no planner has been compiled with this code yet, as on a new machine or after an edit."""
+    return not (use_kernel_cache() / MARK).exists()
+
+
+def mark_compiled() -> None:
+    """Note, for `kernels_missing`, that a planner has been compiled with this code."""
+    with suppress(OSError):  # where numba can keep no kernels either
+        (use_kernel_cache() / MARK).touch()
 
 
 class Compilation:
-    """Kernels that are being compiled; those still under way when the context is left are given up."""
+    """Kernels being compiled. Leaving the context stops the compilations that have not finished."""
 
     def __init__(self, planners: Planners) -> None:
         sharing: dict[str, dict[str, tuple[str, Mapping[str, object]]]] = {}
         for label, planner in planners.items():
-            # Who shares the warming up shares the kernels, and one process takes both.
+            # Planners with the same `warm_up` share their kernels, so one process compiles them.
             sharing.setdefault(type(make_planner(*planner)).warm_up.__module__, {})[label] = planner
         self._running = {tuple(group): _start(group) for group in sharing.values()}
 
@@ -49,7 +56,7 @@ class Compilation:
             process.communicate()
 
     def finished(self) -> Iterator[tuple[str, str]]:
-        """Waits, and yields each planner as its kernels are there, with what went wrong or an empty text."""
+        """Yield each planner when its kernels are compiled, with the error message or an empty text."""
         for names in list(self._running):
             _, said = self._running[names].communicate()
             failed = self._running.pop(names).returncode != 0
@@ -58,9 +65,10 @@ class Compilation:
 
 
 def compile_kernels(planners: Planners) -> None:
-    """Compiles in this process what the planners need."""
+    """Compile in this process what the planners need."""
     for planner in planners.values():
         make_planner(*planner).warm_up(_problem())
+    mark_compiled()
 
 
 def _start(planners: Planners) -> "subprocess.Popen[str]":
@@ -69,7 +77,7 @@ def _start(planners: Planners) -> "subprocess.Popen[str]":
 
 
 def _problem() -> PlanningProblem:
-    """A small problem: kernels are the same for all."""
+    """Return a small problem; kernels are the same for all problems."""
     automaton = build_automaton("F a & F b", ["a", "b"])
     travel_s = np.array([[0.0, 1.0], [1.0, 0.0]])
     team = (RobotStatus(np.ones(2)), RobotStatus(np.ones(2)))

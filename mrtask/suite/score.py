@@ -28,7 +28,7 @@ from mrtask.errors import InputError
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.files import default_cache_dir
 from mrtask.planning.planners import make_planner
-from mrtask.planning.warm_up import kernels_missing
+from mrtask.planning.warm_up import kernels_missing, mark_compiled
 from mrtask.suite.card import planning_text, render_card
 from mrtask.suite.frozen import DEFAULT_SUITE, Suite, load_suite
 from mrtask.suite.recorded import recorded_episodes
@@ -102,6 +102,7 @@ def score_planner(request: Request, on_episode: Callable[[], None] | None = None
     first = suite.trials[0]
     # Compiled once here, so that the workers find the kernels in numba's cache.
     warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), request.planner, request.options)
+    mark_compiled()
     if request.workers == 1:
         for number in numbers:
             rows[number] = _episode(request, number)

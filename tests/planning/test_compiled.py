@@ -1,6 +1,7 @@
-"""Kernels: named tuples by reference, and one compilation for several processes."""
+"""Kernels: named tuples by reference, and a cache that notices every edit."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,29 +15,23 @@ from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.reference import by_reference
 
 ROOT = Path(__file__).resolve().parents[2]
-KERNEL = """
-from mrtask.planning.compiled import compiled, inlined
-
-@inlined
-def part(values, k):
-    total = 0.0
-    for i in range(values.size):
-        if i % k:
-            total += values[i] ** k
-    return total
-
-@compiled
-def kernel(values):
-    return part(values, 2) + part(values, 3)
-"""
-TOGETHER = """
-import sys
+EXAMPLE = """
 import numpy as np
-import kernel_module as module
-print("ready", flush=True)
-sys.stdin.readline()
-assert module.kernel(np.arange(5.0)) == module.part(np.arange(5.0), 2) + module.part(np.arange(5.0), 3)
-print(sum(module.kernel.stats.cache_misses.values()), flush=True)
+from mrtask.planning.greedy import Greedy
+from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.tasks.automaton import build_automaton
+
+automaton = build_automaton("F a", ["a"])
+far_and_near = np.array([9.0, 1.0])
+problem = PlanningProblem(
+    automaton,
+    automaton.initial,
+    np.full((2, 1), 0.5),
+    np.zeros(2, dtype=bool),
+    np.zeros((2, 2)),
+    (RobotStatus(far_and_near),),
+)
+print(Greedy().plan(problem, 0).assignments[0].container)
 """
 
 
@@ -75,29 +70,25 @@ def test_parts_read_and_write_what_they_are_given_by_reference(flag):
     assert outer.counts.tolist() == [9, 11]
 
 
-def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
-    (tmp_path / "kernel_module.py").write_text(KERNEL)
-    environment = os.environ | {
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)]),
-    }
-    command = [sys.executable, "-c", TOGETHER]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
-    processes = [subprocess.Popen(command, **pipes) for _ in range(3)]
-    for process in processes:
-        assert process.stdout.readline() == "ready\n"
-    for process in processes:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    assert sorted(process.communicate()[0] for process in processes) == ["0\n", "0\n", "1\n"]
+@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "MRTASK_CACHE_DIR"])
+def test_an_edited_kernel_takes_effect_with_the_same_cache(tmp_path, variable):
+    shutil.copytree(ROOT / "mrtask", tmp_path / "mrtask", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "example.py").write_text(EXAMPLE)
+    inherited = {name: value for name, value in os.environ.items() if not name.endswith("_CACHE_DIR")}
+    environment = inherited | {"PYTHONPATH": str(tmp_path), variable: str(tmp_path / "cache")}
 
+    def chosen():
+        command = [sys.executable, str(tmp_path / "example.py")]
+        return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
 
-def test_a_kernel_that_cannot_be_compiled_does_not_keep_others_waiting():
-    @compiled
-    def faulty(value):
-        return value.nothing
-
-    with pytest.raises(Exception, match="nothing"):
-        faulty(1.0)
-    with pytest.raises(Exception, match="nothing"):
-        faulty(1)
+    assert chosen() == chosen() == "1\n"
+    kernel = tmp_path / "mrtask" / "planning" / "team_kernel.py"
+    code = kernel.read_text()
+    before, after = (
+        "    if robot.mode != MOVING:\n        return start\n",
+        "    if robot.mode != MOVING:\n        return 1.0\n",
+    )
+    assert code.count(before) == 1
+    kernel.write_text(code.replace(before, after))
+    assert chosen() == "0\n"
+    assert len(list((tmp_path / "cache").rglob("*_assign-*.nbi"))) == 2
