@@ -5,7 +5,6 @@ home's true contents, of which the likelihood model knows little, but on worlds 
 bound is evaluated on.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +13,13 @@ from numpy.typing import NDArray
 
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
-from mrtask.execution.episode import run_episode
+from mrtask.execution.episode import Plans, run_episode
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import planner_name
 from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 
@@ -29,17 +29,18 @@ def assess(
     home: Home,
     home_map: HomeMap,
     likelihood: NDArray[np.float64],
-    planner: str,
-    options: Mapping[str, object],
+    planner: Plans,
     worlds: int,
+    name: str | None = None,
 ) -> dict[str, Any]:
     """One trial's row: means over ``worlds`` worlds of the planner's cost, the bound and the clairvoyant bound, in s.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        name: the planner's name; None: what `run_episode` makes of that.
 
     Raises:
-        ValueError: a planner that is unknown or refuses its options, or a belief that has no world.
+        ValueError: a belief that has no world.
     """
     automaton = build_automaton(trial.formula, trial.objects)
     nothing = np.zeros(likelihood.shape, dtype=bool)
@@ -56,7 +57,7 @@ def assess(
             home_map,
             likelihood,
             planner,
-            options,
+            name,
         )
         runs.append(searches_of(result.trace, home, automaton))
         if result.cost_s is not None:
@@ -70,7 +71,7 @@ def assess(
         "robots": trial.team.robots,
         "template": trial.template,
         "formula": trial.formula,
-        "planner": planner,
+        "planner": name or planner_name(planner),
         "worlds": worlds,
         "failed": int((~done).sum()),
         "cost_s": _mean(costs_s[done]),

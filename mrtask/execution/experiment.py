@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.execution.episode import EpisodeResult, run_episode
+from mrtask.execution.episode import EpisodeResult, Plans, as_planner, run_episode
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
@@ -22,15 +22,7 @@ from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
-
-
-class Plans(Protocol):
-    """The least that a planner must have."""
-
-    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """The team's assignments."""
-        ...
+from mrtask.planning.problem import Planner
 
 
 @dataclass(frozen=True)
@@ -121,13 +113,11 @@ def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, An
 def _planners(planners: Named) -> dict[str, Planner]:
     if not isinstance(planners, Mapping):
         return {name: make_planner(name) for name in planners}
-    return {
-        name: planner if isinstance(planner, Planner) else PlanOnly(planner.plan) for name, planner in planners.items()
-    }
+    return {name: as_planner(planner) for name, planner in planners.items()}
 
 
 def _episodes(
     trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], planners: Mapping[str, Planner]
 ) -> Iterator[EpisodeResult]:
     for name, planner in planners.items():
-        yield run_episode(trial, home, home_map, likelihood, name, planner=planner)
+        yield run_episode(trial, home, home_map, likelihood, planner, name)

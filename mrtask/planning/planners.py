@@ -14,7 +14,7 @@ from enum import Enum
 from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
-from mrtask.planning.myopic import learned_myopic, nonlearned_myopic
+from mrtask.planning.myopic import MyopicPlanner, _likeliest, learned_myopic, nonlearned_myopic
 from mrtask.planning.paper.planner import PaperOptions, PaperPouct
 from mrtask.planning.pouct import Known, Pouct, PouctOptions
 from mrtask.planning.problem import Planner, PlanOnly
@@ -117,6 +117,17 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
             f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(accepted)}"
         ) from error
     return planner if isinstance(planner, Planner) else PlanOnly(planner.plan)
+
+
+def planner_name(planner: object) -> str:
+    """Return the planner's name among ours, or its import path."""
+    if isinstance(planner, PlanOnly):
+        planner = getattr(planner.plan, "__self__", planner.plan)
+    if isinstance(planner, MyopicPlanner):
+        return "learned_myopic" if planner._shortlist is _likeliest else "nonlearned_myopic"
+    ours = {Greedy: "greedy", PaperPouct: "pouct_paper", Pouct: "pouct", Known: "known"}
+    kind = type(planner)
+    return ours.get(kind, f"{kind.__module__}.{kind.__qualname__}")
 
 
 def _imported(path: str) -> Callable[..., Planner]:

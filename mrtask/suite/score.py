@@ -96,12 +96,12 @@ def score_planner(request: Request, on_episode: Callable[[], None] | None = None
     depends on another.
     """
     suite = load_suite(request.suite)
-    make_planner(request.planner, request.options)  # refuses what is wrong before any work
+    planner = make_planner(request.planner, request.options)  # refuses what is wrong before any work
     numbers = request.trial_numbers()
     rows: dict[int, dict[str, Any]] = {}
     first = suite.trials[0]
     # Compiled once here, so that the workers find the kernels in numba's cache.
-    warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), request.planner, request.options)
+    warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), planner)
     if request.workers == 1:
         for number in numbers:
             rows[number] = _episode(request, number)
@@ -177,7 +177,8 @@ def _episode(request: Request, number: int) -> dict[str, Any]:
         "planner": request.planner,
     }
     try:
-        result = run_episode(trial, suite.homes[trial.home_id], home_map, likelihood, request.planner, request.options)
+        planner = make_planner(request.planner, request.options)
+        result = run_episode(trial, suite.homes[trial.home_id], home_map, likelihood, planner, request.planner)
     except Exception as error:  # a planner's bug is its score
         print(f"{trial.trial_id}: {type(error).__name__}: {error}", file=sys.stderr)
         return row | {"status": "error", "cost_s": None, "decisions": 0, "planning_s": float("nan")}
