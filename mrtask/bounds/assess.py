@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
+from mrtask.execution.acts import ActKind
 from mrtask.execution.episode import Plans, run_episode
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
@@ -87,9 +88,9 @@ def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMa
     number = {container.id: index for index, container in enumerate(home.containers)}
     state, searches = automaton.initial, []
     for leg in trace.robots[0]:
-        if leg.kind == "search" and leg.container is not None:
+        if leg.kind == ActKind.SEARCH and leg.container is not None:
             searches.append(SearchMade(number[leg.container], state))
-        elif leg.kind == "interact" and leg.object is not None:
+        elif leg.kind == ActKind.INTERACT and leg.object is not None:
             state = int(automaton.transitions[state, automaton.propositions.index(leg.object)])
     return searches
 

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
@@ -225,4 +226,4 @@ def as_planner(planner: Plans) -> Planner:
 def _cost_s(trial: Trial, makespan_s: float, trace: Trace) -> float:
     if trial.cost == "makespan":
         return makespan_s
-    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == "move") for legs in trace.robots)
+    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == ActKind.MOVE) for legs in trace.robots)

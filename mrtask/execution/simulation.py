@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
 from mrtask.execution.team_spec import Team
@@ -103,7 +104,7 @@ class Simulation:
         if self._decide_again:  # an assignment was completed on the spot
             return True
         while not self.accepted:
-            until_s = min(robot.until_s for robot in self.team.robots)
+            until_s = min(robot.act.until_s for robot in self.team.robots)
             if until_s == float("inf"):
                 return False
             self.team.time_s = until_s
@@ -122,15 +123,15 @@ class Simulation:
 
     def _process_instant(self) -> bool:
         """Settles everything that is due now; True if that leaves a robot with a new freedom to decide."""
-        acted = [robot for robot in self.team.robots if robot.until_s <= self.time_s + SAME_INSTANT_S]
+        acted = [robot for robot in self.team.robots if robot.act.until_s <= self.time_s + SAME_INSTANT_S]
         for robot in acted:
-            if robot.mode == "move":
+            if robot.moving:
                 self.team.arrived(robot)
         for robot in acted:
-            if robot.mode == "search" and robot.until_s <= self.time_s + SAME_INSTANT_S:
+            if robot.act.kind is ActKind.SEARCH and robot.act.until_s <= self.time_s + SAME_INSTANT_S:
                 self.team.search_ended(robot, self.detected(robot.place))
         self._settle()
-        return any(robot.mode == "free" for robot in acted)
+        return any(robot.free for robot in acted)
 
     def detected(self, container: int) -> NDArray[np.bool_]:
         """[O] what the next search of the container detects: the same whoever searches, whenever."""
@@ -146,9 +147,10 @@ class Simulation:
         failed = False
         while not self.accepted:
             due_s = self.time_s + SAME_INSTANT_S
-            due = [robot for robot in self.team.robots if robot.mode == "interact" and robot.until_s <= due_s]
-            in_vain = [robot for robot in due if not self.truth[robot.place, robot.obj]]
-            if done := [robot for robot in due if self.truth[robot.place, robot.obj]]:
+            acting = [robot for robot in self.team.robots if robot.act.kind is ActKind.INTERACT]
+            due = [robot for robot in acting if robot.act.until_s <= due_s]
+            in_vain = [robot for robot in due if not self.truth[robot.place, robot.act.obj]]
+            if done := [robot for robot in due if self.truth[robot.place, robot.act.obj]]:
                 self.team.interactions_ended(done)
             for robot in in_vain:
                 self.team.interaction_failed(robot, gone=True)

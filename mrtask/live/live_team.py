@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from mrtask.errors import InputError
-from mrtask.execution.robot import LOST
 from mrtask.execution.trials import key_seed
 from mrtask.homes.home import Point
 from mrtask.live import messages as m
-from mrtask.live.events import TAKES_IN
+from mrtask.live.events import HANDLERS
 from mrtask.live.orders import order_key, order_of, task_state
 from mrtask.live.state import LiveSetup, LiveState, Refused
 from mrtask.planning.planners import make_planner
@@ -72,7 +71,7 @@ class LiveTeam(LiveState):
             if event.time_s > before_s + MAX_AHEAD_S:
                 raise Refused(f"its time_s is more than {MAX_AHEAD_S:g} s ahead of all before; is its clock right?")
             self.team.time_s = max(before_s, event.time_s)
-            note = TAKES_IN[event.type](self, event)
+            note = HANDLERS[event.type](self, event)
         except Refused as refused:
             self.team.time_s = before_s
             return m.Answer(event=event.id, status="rejected", reason=str(refused))
@@ -89,10 +88,10 @@ class LiveTeam(LiveState):
         team.start_interactions()
         if decide:
             team.release()
-            freed = any(team.robots[number].mode == "free" for number in self.busy)
+            freed = any(team.robots[number].free for number in self.busy)
             if (freed or self.surprise) and not team.accepted:
                 self._decide()
-            self.busy = {number for number, robot in enumerate(team.robots) if robot.mode not in ("free", LOST)}
+            self.busy = {number for number, robot in enumerate(team.robots) if not (robot.free or robot.lost)}
             self.surprise = False
         told, self.told = self.told, {}
         orders: list[m.Outgoing] = []
@@ -100,7 +99,7 @@ class LiveTeam(LiveState):
             self.told[name] = order_key(self, robot)
             if self.told[name] != told.get(name):
                 self.orders += 1
-                if robot.mode != LOST:
+                if not robot.lost:
                     orders.append(order_of(self, number))
         return [*orders, task_state(self)]
 

@@ -4,32 +4,36 @@ from typing import Any
 
 import numpy as np
 
-from mrtask.execution.robot import LOST, Robot
-from mrtask.homes.home import Point
+from mrtask.execution.acts import ActKind
+from mrtask.execution.robot import Robot
 from mrtask.live import messages as m
 from mrtask.live.state import LiveState
 
-_ACTIONS = {"move": "navigate", "search": "search", "interact": "interact", "free": "wait", "settling": "wait"}
+_NAVIGATE, _SEARCH, _INTERACT, _WAIT = "navigate", "search", "interact", "wait"
+_ACTIONS = {
+    ActKind.MOVE: _NAVIGATE,
+    ActKind.SEARCH: _SEARCH,
+    ActKind.INTERACT: _INTERACT,
+    ActKind.FREE: _WAIT,
+    ActKind.SETTLING: _WAIT,
+    ActKind.LOST: "lost",
+}
+"""What an order says of an act; a robot that is lost gets none."""
 
 
 def order_key(live: LiveState, robot: Robot) -> tuple[Any, ...]:
     """What a robot's order is made from (action, container, object, map); another key makes another order."""
-    action = _ACTIONS.get(robot.mode, LOST)
-    version = live.map_version if action == "navigate" else 0
-    target = robot.assignment.container if action == "navigate" else robot.place if action != "wait" else -1
-    return (action, target, robot.obj if action == "interact" else -1, version)
+    action = _ACTIONS[robot.act.kind]
+    version = live.map_version if robot.moving else 0
+    target = robot.assignment.container if robot.moving else robot.place if action != _WAIT else -1
+    return (action, target, robot.act.obj if action == _INTERACT else -1, version)
 
 
 def order_of(live: LiveState, number: int) -> m.Order:
     """A robot's present order, with its way from where it is taken to be."""
     team, robot = live.team, live.team.robots[number]
     action, target, obj, _ = order_key(live, robot)
-    route: tuple[Point, ...] = ()
-    length_m = 0.0
-    if robot.mode == "move" and robot.route is not None:
-        driven_m = (team.time_s - robot.moved_s) * live.setup.spec.speed_m_per_s
-        route = robot.route.points_after(team.home_map, driven_m)
-        length_m = max(robot.route.length_m - driven_m, 0.0)
+    route, length_m = robot.way_left(team.time_s)
     return m.Order(
         order=live.orders,
         robot=live.names[number],
@@ -57,7 +61,7 @@ def task_state(live: LiveState) -> m.TaskState:
     )
     if team.accepted:
         return m.TaskState(status="done", time_s=team.time_s, word=word)
-    if any(robot.mode in ("move", "search", "interact") for robot in team.robots):
+    if any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots):
         return m.TaskState(status="running", time_s=team.time_s, word=word)
     return m.TaskState(status="stuck", time_s=team.time_s, word=word, reason=_why_stuck(live))
 
@@ -79,8 +83,8 @@ def _why_stuck(live: LiveState) -> str:
     team = live.team
     if not live.present:
         return "no robot is left; robot_joined helps"
-    ways_m = [team.position_of(team.robots[number]).distances_m(team.home_map) for number in live.present]
-    reachable = np.isfinite(ways_m).any(axis=0)
+    ways_s = [team.robots[number].travel_s(team.time_s) for number in live.present]
+    reachable = np.isfinite(ways_s).any(axis=0)
     missing = team.missing()
     if missing and team.belief.searched[reachable].all():
         return f"found in no container that can be reached: {', '.join(missing)}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mrtask.errors import InputError
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
-from mrtask.execution.robot import LOST, Robot
+from mrtask.execution.robot import Robot
 from mrtask.execution.scenario import free_cell_near
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.team_state import TeamState
@@ -109,7 +109,7 @@ class LiveState:
     def robot(self, name: str) -> Robot:
         """A robot that is not lost."""
         robot = self.team.robots[self.number(name)]
-        if robot.mode == LOST:
+        if robot.lost:
             raise Refused(f"robot {name!r} is lost; robot_joined brings it back")
         return robot
 
