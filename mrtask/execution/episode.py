@@ -13,6 +13,8 @@ from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
+from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.table import build_table
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import planner_name
 from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
@@ -26,6 +28,8 @@ IDLE_DECISIONS_PER_ROBOT = 10
 goes round in circles. A team needs no more than one or two each, for robots that take up a place early."""
 BY_HAND = "by_hand"
 """The planner's name in an episode that is stepped by hand."""
+Likelihood = NDArray[np.float64] | LikelihoodModel
+"""[C, O] the probability that container c holds the trial's object o, or a model to ask."""
 Observer = Callable[[float, PlanningProblem, Plan], None]
 """Called at each decision with the time in seconds, what the planner saw and what it answered."""
 
@@ -60,7 +64,7 @@ class Episode:
     """One trial, stepped by hand: read `problem`, give `step` a plan, until `done`; `run_episode` is this loop.
 
     Args:
-        likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        likelihood: where objects may be.
         name: the planner's name; the seeds of its plans depend on it.
         known: whether the planner sees the true contents from the start.
         max_decisions: the episode fails if the task is not done after this many.
@@ -71,7 +75,7 @@ class Episode:
         trial: Trial,
         home: Home,
         home_map: HomeMap,
-        likelihood: NDArray[np.float64],
+        likelihood: Likelihood,
         name: str = BY_HAND,
         *,
         known: bool = False,
@@ -85,7 +89,7 @@ class Episode:
             home,
             home_map,
             build_automaton(trial.formula, trial.objects),
-            likelihood,
+            _matrix(likelihood, home, trial.objects),
             np.array([[name in container.objects for name in trial.objects] for container in home.containers]),
             team=trial.team,
             start_cell=trial.start_cell,
@@ -169,7 +173,7 @@ def run_episode(
     trial: Trial,
     home: Home,
     home_map: HomeMap,
-    likelihood: NDArray[np.float64],
+    likelihood: Likelihood,
     planner: Plans,
     name: str | None = None,
     *,
@@ -179,7 +183,7 @@ def run_episode(
     """Run a trial with a planner.
 
     Args:
-        likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        likelihood: where objects may be.
         planner: one of ours, or any object with a method `plan`.
         name: the planner's name, on which its seeds depend; None: its name among ours, or its import path.
 
@@ -187,7 +191,8 @@ def run_episode(
         ValueError: a plan that the simulation cannot carry out.
         TypeError: a planner without a method `plan`.
     """
-    full, name = as_planner(planner), name or planner_name(planner)
+    full = as_planner(planner)
+    name = name or planner_name(full)
     episode = Episode(trial, home, home_map, likelihood, name, known=full.knows_contents, max_decisions=max_decisions)
     planning_s = 0.0
     while not episode.done:
@@ -201,7 +206,7 @@ def run_episode(
     return episode.result(planning_s)
 
 
-def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], planner: Plans) -> None:
+def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans) -> None:
     """Let a planner compile what it needs, on a trial's first decision; takes and raises what `run_episode` does."""
     full = as_planner(planner)
     full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents).problem)
@@ -221,6 +226,12 @@ def as_planner(planner: Plans) -> Planner:
             "make_planner makes one from a name or an import path"
         )
     return PlanOnly(planner.plan)
+
+
+def _matrix(likelihood: Likelihood, home: Home, objects: tuple[str, ...]) -> NDArray[np.float64]:
+    if isinstance(likelihood, np.ndarray):
+        return likelihood
+    return build_table(likelihood, [home], objects).matrix(home, objects)
 
 
 def _cost_s(trial: Trial, makespan_s: float, trace: Trace) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mrtask.execution.acts import ActKind
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
-from mrtask.execution.scenario import free_cell_near
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.live import messages as m
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.orders import doing

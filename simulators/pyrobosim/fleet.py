@@ -28,7 +28,7 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
 from mrtask.execution.motion import Position, plan_route
-from mrtask.execution.scenario import free_cell_near
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.homes.home import Point
 from mrtask.maps.home_map import HomeMap
 from simulators.pyrobosim.robot import Body
