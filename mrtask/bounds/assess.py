@@ -9,19 +9,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
 from mrtask.execution.acts import ActKind
-from mrtask.execution.episode import Plans, run_episode
+from mrtask.execution.episode import Plans, as_planner, run_episode
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import planner_name
-from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
+from mrtask.planning.solver_belief import belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 
 
@@ -29,7 +29,7 @@ def assess(
     trial: Trial,
     home: Home,
     home_map: HomeMap,
-    likelihood: NDArray[np.float64],
+    likelihood: Floats,
     planner: Plans,
     worlds: int,
     name: str | None = None,
@@ -38,7 +38,7 @@ def assess(
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
-        name: the planner's name; None: what `run_episode` makes of that.
+        name: the planner's name; None: its name among ours, or its import path.
 
     Raises:
         ValueError: a belief that has no world.
@@ -72,7 +72,7 @@ def assess(
         "robots": trial.team.robots,
         "template": trial.template,
         "formula": trial.formula,
-        "planner": name or planner_name(planner),
+        "planner": name or planner_name(as_planner(planner)),
         "worlds": worlds,
         "failed": int((~done).sum()),
         "cost_s": _mean(costs_s[done]),

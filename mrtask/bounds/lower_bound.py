@@ -7,11 +7,12 @@ from time import process_time
 
 import numpy as np
 
+from mrtask.arrays import Bools, Floats
 from mrtask.bounds.one_robot import SearchMade, one_robot_bound
 from mrtask.bounds.team_bound import team_bound
 from mrtask.planning.clairvoyant import clairvoyant_s
 from mrtask.planning.problem import PlanningProblem
-from mrtask.planning.solver_belief import Bools, Floats, belief_of, draw_worlds
+from mrtask.planning.solver_belief import belief_of, draw_worlds
 
 PILOT_WORLDS = 30
 """By which the bound for a team chooses among its curves."""

@@ -40,8 +40,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats, Ints
 from mrtask.bounds import one_robot_kernel as kernel
-from mrtask.planning.solver_belief import Belief, Bools, Floats
+from mrtask.planning.solver_belief import Belief
 
 MAX_TABLE_WORK = 6e8
 """Elementary steps for a table of v, by a rough count: less than a second."""
@@ -167,7 +168,7 @@ class Table:
         return total_s
 
 
-def masks(members: Bools) -> NDArray[np.int64]:
+def masks(members: Bools) -> Ints:
     """[...] bit masks of the last axis."""
     weights = np.int64(1) << np.arange(members.shape[-1], dtype=np.int64)
     return np.asarray((members * weights).sum(axis=-1), dtype=np.int64)

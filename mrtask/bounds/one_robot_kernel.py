@@ -9,41 +9,35 @@ where it is.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats, Int32s, Ints, UInt8s
 from mrtask.planning.compiled import compiled, inlined
-
-F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
-I8 = NDArray[np.int64]
-U1 = NDArray[np.uint8]
-
-NONE = -1
+from mrtask.planning.shared_kernel import NONE
 
 
 class Search(NamedTuple):
     """A one-robot search and scratch space for it."""
 
-    travel_s: F8  # [P + 1, P] the last row from where the robot is
-    prob: F8  # [n, O]
-    nowhere: F8  # [2^n, O] probability that none of the containers outside S holds an object
-    known: I8  # [P] mask of the objects that a place is known to hold, 0 for the first n
-    transitions: I4  # [Z, O]
-    accepting: U1  # [Z]
-    advancing: I8  # [Z] mask
-    safe: I8  # [Z] mask
-    needed: I8  # [Z] mask
-    steps: I4  # [Z]
-    order: I4  # [Z] the states by steps, without accepting ones and the sink
+    travel_s: Floats  # [P + 1, P] the last row from where the robot is
+    prob: Floats  # [n, O]
+    nowhere: Floats  # [2^n, O] probability that none of the containers outside S holds an object
+    known: Ints  # [P] mask of the objects that a place is known to hold, 0 for the first n
+    transitions: Int32s  # [Z, O]
+    accepting: UInt8s  # [Z]
+    advancing: Ints  # [Z] mask
+    safe: Ints  # [Z] mask
+    needed: Ints  # [Z] mask
+    steps: Int32s  # [Z]
+    order: Int32s  # [Z] the states by steps, without accepting ones and the sink
     nearer_only: bool  # whether every advancing letter leads nearer to acceptance
     known_mask: int  # objects that some place is known to hold
     waiting_mask: int  # objects that may have to wait for their turn
-    stride: I8  # [O] weight of an object's digit in L, 0 for objects without one
+    stride: Ints  # [O] weight of an object's digit in L, 0 for objects without one
     locations: int  # how many values L has
     search_time_s: float
     interact_time_s: float
-    relevant: I4  # [O] scratch
-    costs: F8  # [n] scratch
+    relevant: Int32s  # [O] scratch
+    costs: Floats  # [n] scratch
 
 
 @inlined
@@ -69,7 +63,7 @@ def _settled_state(search: Search, z: int, held: int) -> int:
 
 
 @inlined
-def _value_after(search: Search, value: F8, searched: int, z: int, settled: int, locations: int, c: int) -> float:
+def _value_after(search: Search, value: Floats, searched: int, z: int, settled: int, locations: int, c: int) -> float:
     """`value` once the robot has done at c what leads from state z to ``settled``; every letter is a step there."""
     letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
     if search.accepting[settled]:
@@ -102,7 +96,7 @@ def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) 
 
 
 @inlined
-def _expected_s(search: Search, value: F8, searched: int, z: int, locations: int, c: int) -> float:
+def _expected_s(search: Search, value: Floats, searched: int, z: int, locations: int, c: int) -> float:
     """The mean of `value` after a search of c in the simplified problem."""
     count = _list_relevant(search, z, locations, False)
     total_s = 0.0
@@ -134,7 +128,7 @@ def _locations_valid(search: Search, searched: int, locations: int) -> bool:
 
 
 @compiled
-def solve_simplified(search: Search, value: F8) -> None:
+def solve_simplified(search: Search, value: Floats) -> None:
     """Fills ``value`` [2^n, Z, L, P]: the least expected time to go if of each waiting object one copy is remembered.
 
     Dead ends, which no world leads to, have the value 0.
@@ -178,7 +172,7 @@ def solve_simplified(search: Search, value: F8) -> None:
 
 
 @inlined
-def _guess_s(search: Search, value: F8, world: I8, before: int, z: int, c: int, held: int) -> float:
+def _guess_s(search: Search, value: Floats, world: Ints, before: int, z: int, c: int, held: int) -> float:
     """The approximate time to go after the robot, in state z, has found ``held`` in c.
 
     It knows what ``world`` has in the containers searched ``before``. Of an object's known copies that is taken to be
@@ -208,7 +202,7 @@ def _guess_s(search: Search, value: F8, world: I8, before: int, z: int, c: int, 
 
 
 @inlined
-def _penalty_s(search: Search, value: F8, world: I8, searched: int, found: int, z: int, c: int) -> float:
+def _penalty_s(search: Search, value: Floats, world: Ints, searched: int, found: int, z: int, c: int) -> float:
     """The mean of `_guess_s` over what a search of c may find, less what it is for what ``world`` has there.
 
     It takes what could have been done at once to be done: who knows the world gains nothing by leaving it undone.
@@ -235,7 +229,7 @@ def _penalty_s(search: Search, value: F8, world: I8, searched: int, found: int, 
 
 
 @compiled
-def solve_world(search: Search, value: F8, world: I8, cost: F8, penalty: F8) -> None:
+def solve_world(search: Search, value: Floats, world: Ints, cost: Floats, penalty: Floats) -> None:
     """The penalised problem of a robot that knows the world, ``world`` [n] masks of what containers hold.
 
     Fills ``cost`` [2^n, Z, P + 1], the least time to go with all penalties to come, and ``penalty`` [2^n, Z, n] of the

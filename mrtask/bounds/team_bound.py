@@ -32,10 +32,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.bounds.one_robot import masks, products
 from mrtask.bounds.team_bound_kernel import divide, shortest_ways
 from mrtask.planning.clairvoyant import clairvoyant_s
-from mrtask.planning.solver_belief import Belief, Bools, Floats
+from mrtask.planning.solver_belief import Belief
 
 MAX_CONTAINERS = 12
 """In the sets that are searched; a division among the team takes 3^n steps."""

@@ -1,15 +1,13 @@
 """The compiled loops of `mrtask.bounds.team_bound`; sets of n containers are bit masks."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.planning.compiled import compiled
-
-F8 = NDArray[np.float64]
 
 
 @compiled
-def shortest_ways(travel_s: F8, start_s: F8, ending: F8, result: F8) -> None:
+def shortest_ways(travel_s: Floats, start_s: Floats, ending: Floats, result: Floats) -> None:
     """The shortest way through each set (Held and Karp 1962), ``result`` [2^n]; ``ending`` [2^n, n] by last container.
 
     ``travel_s`` [n, n] and ``start_s`` [n] include the time spent on arrival.
@@ -32,7 +30,7 @@ def shortest_ways(travel_s: F8, start_s: F8, ending: F8, result: F8) -> None:
 
 
 @compiled
-def divide(team_s: F8, one_s: F8, result: F8) -> None:
+def divide(team_s: Floats, one_s: Floats, result: Floats) -> None:
     """For each set, ``result`` [2^n], the least time in which a team and one more robot can visit it together."""
     for visited in range(result.size):
         best_s = team_s[visited]

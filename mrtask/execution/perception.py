@@ -7,12 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.names import name_to_text
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 DOUBT_PROB = 1e-3
 """No prior is surer than this where detections can err, and what was ruled out for certain is detected with this prior:
@@ -59,21 +56,21 @@ class Perception:
 class Sensor:
     """[O] the probability that a search detects each task object where it is, and where it is not."""
 
-    true_positive_prob: FloatArray
-    false_positive_prob: FloatArray
+    true_positive_prob: Floats
+    false_positive_prob: Floats
 
-    def prior(self, likelihood: FloatArray) -> FloatArray:
+    def prior(self, likelihood: Floats) -> Floats:
         """[..., O] likelihoods as priors, which leave some doubt where detections can err."""
         least = np.where(self.false_positive_prob > 0.0, DOUBT_PROB, 0.0)
         most = np.where(self.true_positive_prob < 1.0, 1.0 - DOUBT_PROB, 1.0)
         return np.clip(likelihood, least, most)
 
-    def detect(self, present: BoolArray, seed: int) -> BoolArray:
+    def detect(self, present: Bools, seed: int) -> Bools:
         """[O] what a search detects where these objects are present."""
         chance = np.where(present, self.true_positive_prob, self.false_positive_prob)
         return np.asarray(np.random.default_rng(seed).random(len(present)) < chance)
 
-    def posterior(self, prior: FloatArray, seen: FloatArray) -> FloatArray:
+    def posterior(self, prior: Floats, seen: Floats) -> Floats:
         """[O] the probabilities that the objects are there, after a search.
 
         Args:
@@ -87,7 +84,7 @@ class Sensor:
         return seen * after_hit + (1.0 - seen) * after_miss
 
 
-def _bayes(prior: FloatArray, if_present: FloatArray, if_absent: FloatArray) -> FloatArray:
+def _bayes(prior: Floats, if_present: Floats, if_absent: Floats) -> Floats:
     """The posterior after evidence with these likelihoods; 0 where it is impossible either way."""
     joint = prior * if_present
     total = joint + (1.0 - prior) * if_absent

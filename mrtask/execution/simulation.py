@@ -19,10 +19,8 @@ from mrtask.execution.trace import Trace
 from mrtask.execution.trials import key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.problem import Assignment, PlanningProblem
+from mrtask.planning.problem import SAME_INSTANT_S, Assignment, PlanningProblem
 from mrtask.tasks.automaton import Automaton
-
-SAME_INSTANT_S = 1e-9
 
 
 class Simulation:

@@ -6,8 +6,8 @@ For the generator, and for homes whose furniture is known but whose contents are
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.homes.catalogue import Catalogue, load_catalogue
 from mrtask.homes.home import Home
 
@@ -49,7 +49,7 @@ def object_probs(catalogue: Catalogue, room_type: str, container_type: str) -> d
     return dict(zip(facts["likelihoods"], probs.tolist(), strict=True))
 
 
-def _rank_probs(rates: NDArray[np.float64], ranks: int) -> NDArray[np.float64]:
+def _rank_probs(rates: Floats, ranks: int) -> Floats:
     """``[K, ranks]`` the probability that exactly so many of the other K - 1 exponential clocks ring before each."""
     log_times = np.arange(
         -np.log(rates.max()) - LOG_TIMES_BEFORE, -np.log(rates.min()) + LOG_TIMES_AFTER, LOG_TIME_STEP

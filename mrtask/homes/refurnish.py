@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.homes.home import Home
 from mrtask.homes.receptacles import Match
 from mrtask.homes.votes import Votes
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ import yaml
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.errors import InputError
 from mrtask.files import sha256_of
 
@@ -48,12 +49,12 @@ class Votes:
     ranks: NDArray[np.int16]
 
     @property
-    def share_right(self) -> NDArray[np.float64]:
+    def share_right(self) -> Floats:
         """``[K, O]``: the share of annotators for whom the place is right."""
         return np.asarray((self.ranks > 0).mean(axis=2))
 
     @property
-    def share_misplaced(self) -> NDArray[np.float64]:
+    def share_misplaced(self) -> Floats:
         """``[K, O]``: the share of annotators for whom the object may lie there misplaced."""
         return np.asarray((self.ranks < 0).mean(axis=2))
 

@@ -18,16 +18,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import elementwise
 from scipy.special import expit, logit
 
+from mrtask.arrays import Floats
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import clip_probs
 
 NODES = 7
 
-Floats = NDArray[np.float64]
 Cell = tuple[int, int]
 """``(container, object)``, by their places in the matrix."""
 

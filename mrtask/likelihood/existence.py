@@ -1,11 +1,9 @@
 """Likelihoods of objects that are known to be somewhere, as every task's object is."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.model import clip_probs
-
-Floats = NDArray[np.float64]
 
 
 def given_existence(probs: Floats) -> Floats:

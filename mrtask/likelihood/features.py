@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mrtask.arrays import Ints
 from mrtask.likelihood.embeddings import embed_names
 from mrtask.likelihood.rows import TRIPLE
 
@@ -21,7 +22,7 @@ class NameFeatures:
     """Features of N triples, each distinct name's kept once: part ``p`` of row ``n`` is ``vectors[p][codes[p, n]]``."""
 
     vectors: tuple[NDArray[np.float32], ...]
-    codes: NDArray[np.int64]
+    codes: Ints
 
     def __len__(self) -> int:
         return int(self.codes.shape[1])

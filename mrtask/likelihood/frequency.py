@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.metrics import log_loss
 from mrtask.likelihood.model import check_names, clip_probs, read_triples, write_description, write_triples
 from mrtask.likelihood.options import SMOOTHINGS
@@ -24,8 +24,6 @@ KIND = "frequency"
 COUNTS = ["positives", "count"]
 LEVELS = (["container", "room"], ["object"], ["object", "container"], TRIPLE)
 """From coarse to fine."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.errors import InputError
 from mrtask.likelihood.model import check_names, clip_probs
 from mrtask.likelihood.rows import TRIPLE
@@ -27,7 +27,7 @@ class FunctionModel:
         """``function``."""
         return "function"
 
-    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+    def predict(self, names: pd.DataFrame) -> Floats:
         """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``.
 
         Raises:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.model import clip_probs
 
 SOURCES = ("model", "truth")
@@ -37,9 +37,7 @@ class GivenOptions:
             raise ValueError(f"0 <= uniform_mix <= 1 and noise_sd >= 0 needed, got {self}")
 
 
-def given_likelihood(
-    likelihood: NDArray[np.float64], kinds: Sequence[tuple[str, str]], options: GivenOptions, seed: int
-) -> NDArray[np.float64]:
+def given_likelihood(likelihood: Floats, kinds: Sequence[tuple[str, str]], options: GivenOptions, seed: int) -> Floats:
     """What planners are given for ``likelihood [C, O]`` of containers of these C ``kinds``: mixed first, then noisy.
 
     The noise of an object does not depend on which objects come after it.

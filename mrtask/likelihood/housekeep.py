@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
+from mrtask.arrays import Floats
 from mrtask.homes.votes import Votes, VotesError
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.rows import TRIPLE
@@ -46,12 +46,12 @@ def vote_triples(votes: Votes) -> pd.DataFrame:
     )
 
 
-def predict_votes(model: LikelihoodModel, votes: Votes) -> NDArray[np.float64]:
+def predict_votes(model: LikelihoodModel, votes: Votes) -> Floats:
     """The model's probabilities ``[K, O]`` for all places and objects of the votes."""
     return model.predict(vote_triples(votes)[TRIPLE]).reshape(len(votes.placements), len(votes.objects))
 
 
-def mean_average_precision(scores: NDArray[np.float64], votes: Votes) -> tuple[float, int]:
+def mean_average_precision(scores: Floats, votes: Votes) -> tuple[float, int]:
     """The measure for ``scores [K, O]``, the higher the better a place, and over how many pairs it is the mean.
 
     Raises:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from scipy.special import expit
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import check_names, clip_probs, write_description
@@ -23,7 +24,7 @@ WEIGHTS_FILE = "weights.safetensors"
 class LogisticModel:
     """``sigmoid(features @ coefficients + intercept)`` with ``coefficients [F]``."""
 
-    coefficients: NDArray[np.float64]
+    coefficients: Floats
     intercept: float
     embedding: str = BUNDLED
     cache_dir: Path | None = None
@@ -33,7 +34,7 @@ class LogisticModel:
         """``logistic``."""
         return KIND
 
-    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+    def predict(self, names: pd.DataFrame) -> Floats:
         """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         if not len(names):

@@ -5,12 +5,13 @@ Everything is computed on distinct triples with counts, which gives exactly the 
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+
+from mrtask.arrays import Floats
 
 CALIBRATION_BINS = 10
 
 
-def evaluate(probs: NDArray[np.float64], triples: pd.DataFrame) -> dict[str, float]:
+def evaluate(probs: Floats, triples: pd.DataFrame) -> dict[str, float]:
     """Metrics of ``probs [N]`` on N triples with ``positives`` and ``count``.
 
     ``roc_auc`` and ``average_precision`` are NaN where only one label occurs. ``best_log_loss`` is what the triples'
@@ -40,7 +41,7 @@ def evaluate(probs: NDArray[np.float64], triples: pd.DataFrame) -> dict[str, flo
     return result
 
 
-def reliability(probs: NDArray[np.float64], triples: pd.DataFrame, bins: int = CALIBRATION_BINS) -> pd.DataFrame:
+def reliability(probs: Floats, triples: pd.DataFrame, bins: int = CALIBRATION_BINS) -> pd.DataFrame:
     """Predicted against observed: ``mean_prob, frequency, rows`` per bin of about equally many rows, lowest first.
 
     Bins of equal mass, because nearly all probabilities are small: bins of equal width would put them all in one.
@@ -68,7 +69,7 @@ def reliability(probs: NDArray[np.float64], triples: pd.DataFrame, bins: int = C
     ).reset_index(drop=True)
 
 
-def evaluate_by(probs: NDArray[np.float64], triples: pd.DataFrame, column: str) -> pd.DataFrame:
+def evaluate_by(probs: Floats, triples: pd.DataFrame, column: str) -> pd.DataFrame:
     """``evaluate`` for each value of ``object``, ``container`` or ``room``, most rows first."""
     records = []
     for value, index in triples.reset_index(drop=True).groupby(column).groups.items():
@@ -77,7 +78,7 @@ def evaluate_by(probs: NDArray[np.float64], triples: pd.DataFrame, column: str) 
     return pd.DataFrame(records).sort_values(["rows", column], ascending=[False, True], ignore_index=True)
 
 
-def log_loss(probs: NDArray[np.float64], triples: pd.DataFrame) -> float:
+def log_loss(probs: Floats, triples: pd.DataFrame) -> float:
     """The mean log loss of ``probs [N]`` over the rows behind N triples with ``positives`` and ``count``."""
     positives = triples["positives"].to_numpy(dtype=np.float64)
     count = triples["count"].to_numpy(dtype=np.float64)

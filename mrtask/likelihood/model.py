@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.errors import InputError
 from mrtask.files import replacing, sha256_of
 from mrtask.likelihood.rows import TRIPLE
@@ -32,7 +33,7 @@ class LikelihoodModel(Protocol):
         """Its name in `mrtask.likelihood.kinds.KINDS`."""
         ...
 
-    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+    def predict(self, names: pd.DataFrame) -> Floats:
         """Probabilities ``[N]`` in (0, 1) for a frame with the columns ``object``, ``container``, ``room``."""
         ...
 
@@ -56,7 +57,7 @@ def check_names(names: pd.DataFrame) -> None:
             raise ValueError(f"column {column!r} must hold strings, got {wrong[0]!r}")
 
 
-def clip_probs(probs: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def clip_probs(probs: NDArray[np.floating[Any]]) -> Floats:
     """The probabilities as float64 within ``PROB_FLOOR`` of 0 and 1."""
     return np.clip(probs.astype(np.float64), PROB_FLOOR, 1.0 - PROB_FLOOR)
 

@@ -17,6 +17,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, write_description
@@ -34,7 +35,7 @@ class NetworkModel:
     embedding: str = BUNDLED
     cache_dir: Path | None = None
 
-    def predict(self, names: pd.DataFrame) -> NDArray[np.float64]:
+    def predict(self, names: pd.DataFrame) -> Floats:
         """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         if not len(names):
@@ -81,7 +82,7 @@ def output_layer(module: nn.Sequential) -> nn.Linear:
     return last
 
 
-def predict_features(module: nn.Module, features: NDArray[np.float32], batch_size: int = 4096) -> NDArray[np.float64]:
+def predict_features(module: nn.Module, features: NDArray[np.float32], batch_size: int = 4096) -> Floats:
     """Sigmoid of the network's output, ``[N]``, for features ``[N, F]``; the network is put in evaluation mode."""
     device = next(module.parameters()).device
     module.eval()

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import logit
 
+from mrtask.arrays import Floats
 from mrtask.likelihood.embeddings import BUNDLED, embed_names
 from mrtask.likelihood.metrics import log_loss
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, read_triples, write_description, write_triples
@@ -35,8 +35,6 @@ EPSILON = float(np.finfo(np.float64).tiny)
 WEAK_PENALTY = 1e3
 """Scikit-learn's C: the fit has five numbers and thousands of rows."""
 LEVELS = (["object"], ["object", "room"], ["object", "container"])
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.rows import TRIPLE, vocabulary
@@ -20,9 +20,9 @@ class LikelihoodTable:
 
     kinds: tuple[tuple[str, str], ...]
     objects: tuple[str, ...]
-    probs: NDArray[np.float64]
+    probs: Floats
 
-    def matrix(self, home: Home, objects: Sequence[str]) -> NDArray[np.float64]:
+    def matrix(self, home: Home, objects: Sequence[str]) -> Floats:
         """``P(object in container)``, ``[C, O]`` in the order of the home's containers and of ``objects``.
 
         Raises ``KeyError`` naming an object or a kind of container that the table was not built for.

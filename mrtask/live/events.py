@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.execution.acts import ActKind
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
-from mrtask.execution.make_trial import free_cell_near
 from mrtask.live import messages as m
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.orders import doing

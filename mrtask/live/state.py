@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from mrtask.errors import InputError
 from mrtask.execution.belief import prior_belief
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
-from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point

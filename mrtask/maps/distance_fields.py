@@ -15,6 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from mrtask.arrays import Bools, Floats, Int32s, UInt8s
+
 WALL_MARGIN_M = 0.5
 WALL_COST = 5.0
 """On soft ways a metre costs this much right beside what a robot cannot enter, falling to 1 at the margin. (That ways
@@ -28,7 +30,7 @@ TIE_CELLS = 1e-3
 """Lengths that differ by less are equal (the fields are single precision)."""
 
 
-def distance_fields(free: NDArray[np.bool_], goals: NDArray[np.int32], resolution_m: float) -> NDArray[np.float32]:
+def distance_fields(free: Bools, goals: Int32s, resolution_m: float) -> NDArray[np.float32]:
     """[C, H, W] metres from every cell to each of ``goals`` [C, 2]; inf where blocked, cut off, or the goal is < 0."""
     rows, cols = free.shape
     padded = np.zeros((rows + 2, cols + 2), np.bool_)
@@ -78,9 +80,7 @@ def _fill_fields(padded, goals, resolution_m, fields_m):  # type: ignore[no-unty
                 fields_m[index, row, col] = length[(row + 1) * width + col + 1] * resolution_m
 
 
-def soft_fields(
-    free: NDArray[np.bool_], goals: NDArray[np.int32], resolution_m: float
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def soft_fields(free: Bools, goals: Int32s, resolution_m: float) -> tuple[NDArray[np.float32], UInt8s]:
     """[C, H, W] metres along the soft way from every cell to each of ``goals`` [C, 2], and the way's first step.
 
     The metres are inf where blocked, cut off, or the goal is < 0; the steps are for `follow`.
@@ -93,7 +93,7 @@ def soft_fields(
     return fields_m, steps
 
 
-def soft_cost(free: NDArray[np.bool_], resolution_m: float) -> NDArray[np.float64]:
+def soft_cost(free: Bools, resolution_m: float) -> Floats:
     """[H, W] what a metre costs in each cell, from 1 to `WALL_COST`."""
     clearance_m = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * resolution_m
     nearness = np.clip(1.0 - (clearance_m - resolution_m) / WALL_MARGIN_M, 0.0, 1.0)
@@ -143,7 +143,7 @@ def _fill_soft_fields(cost, goals, resolution_m, fields_m, steps):  # type: igno
                 fields_m[index, row, col], steps[index, row, col] = length[cell] * resolution_m, step[cell]
 
 
-def follow(steps: NDArray[np.uint8], row: int, col: int) -> NDArray[np.int32]:
+def follow(steps: UInt8s, row: int, col: int) -> Int32s:
     """[L, 2] the cells of the soft way from ``(row, col)`` to the goal of ``steps`` [H, W]."""
     moves = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
     path = [(row, col)]

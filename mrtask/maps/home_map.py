@@ -16,6 +16,7 @@ from scipy import ndimage
 from shapely.geometry import LineString
 from skimage.draw import polygon as cells_inside
 
+from mrtask.arrays import Bools, Floats, Int32s, Ints, UInt8s
 from mrtask.homes.home import Home, Point, Polygon
 from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields, follow, soft_fields
 
@@ -32,9 +33,6 @@ NO_ROOM = -1
 WAYS = ("shortest", "soft")
 """How robots drive: by the shortest ways, or by ways that keep away from walls (`mrtask.maps.distance_fields`)."""
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class HomeMap:
@@ -44,22 +42,22 @@ class HomeMap:
     resolution_m: float
     origin_m: Point
     """The corner of cell ``(0, 0)``; rows run along y, columns along x."""
-    free: BoolArray
+    free: Bools
     """[H, W] where the robot's centre may be: the main connected region only."""
-    access: NDArray[np.int32]
+    access: Int32s
     """[C, 2] row and column from which each container is reached; -1, -1 where none is."""
     fields_m: NDArray[np.float32]
     """[C, H, W] path length to each container's access cell; inf where not free or not reachable."""
-    steps: NDArray[np.uint8] | None = None
+    steps: UInt8s | None = None
     """[C, H, W] the first step of each soft way, see `follow`; None for shortest ways."""
 
     @property
-    def reachable(self) -> BoolArray:
+    def reachable(self) -> Bools:
         """[C] whether a robot can get to the container."""
         return np.asarray(self.access[:, 0] >= 0)
 
     @cached_property
-    def travel_m(self) -> FloatArray:
+    def travel_m(self) -> Floats:
         """[C, C] path lengths between containers: symmetric, 0 on the diagonal, inf for unreachable ones."""
         count = len(self.access)
         travel_m = np.full((count, count), np.inf)
@@ -69,18 +67,18 @@ class HomeMap:
         np.fill_diagonal(travel_m, 0.0)
         return np.asarray(np.minimum(travel_m, travel_m.T))
 
-    def distances_m(self, cell: tuple[int, int]) -> FloatArray:
+    def distances_m(self, cell: tuple[int, int]) -> Floats:
         """[C] path lengths from a cell to all containers; inf where there is no way."""
-        column: FloatArray = self.fields_m[:, cell[0], cell[1]].astype(np.float64)
+        column: Floats = self.fields_m[:, cell[0], cell[1]].astype(np.float64)
         return column
 
-    def path(self, cell: tuple[int, int], container: int) -> NDArray[np.int32]:
+    def path(self, cell: tuple[int, int], container: int) -> Int32s:
         """[L, 2] the cells of the way to a container's access cell, both ends included."""
         if not np.isfinite(self.fields_m[container, cell[0], cell[1]]):
             raise ValueError(f"no way from cell {cell} to container {container}; check `reachable` and `free` first")
         if self.steps is not None:
             return follow(self.steps[container], cell[0], cell[1])
-        cells: NDArray[np.int32] = descend(self.fields_m[container], self.resolution_m, cell[0], cell[1])
+        cells: Int32s = descend(self.fields_m[container], self.resolution_m, cell[0], cell[1])
         return cells
 
     def cell_center(self, cell: tuple[int, int]) -> Point:
@@ -100,12 +98,12 @@ class _Grid:
     origin_m: Point
     shape: tuple[int, int]
 
-    def indices(self, points: NDArray[np.float64]) -> tuple[FloatArray, FloatArray]:
+    def indices(self, points: Floats) -> tuple[Floats, Floats]:
         """Fractional row and column of ``[N, 2]`` points; whole numbers are cell centres."""
         cols, rows = (points - np.array(self.origin_m)).T / self.resolution_m - 0.5
         return rows, cols
 
-    def fill(self, target: NDArray[Any], outline: FloatArray, value: int) -> None:
+    def fill(self, target: NDArray[Any], outline: Floats, value: int) -> None:
         """Set the cells whose centre is in the polygon."""
         rows, cols = cells_inside(*self.indices(outline), shape=self.shape)  # type: ignore[no-untyped-call]
         target[rows, cols] = value
@@ -147,7 +145,7 @@ def main_region_share(home: Home, resolution_m: float, robot_radius_m: float) ->
     return float(main_region(open_cells).sum() / max(open_cells.sum(), 1))
 
 
-def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[_Grid, NDArray[np.int16], BoolArray]:
+def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[_Grid, NDArray[np.int16], Bools]:
     """The grid, each cell's room and whether the robot's centre may be there, in any region."""
     grid = _make_grid(home, resolution_m)
     room_of = np.full(grid.shape, NO_ROOM, np.int16)
@@ -159,7 +157,7 @@ def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[
     return grid, room_of, open_cells
 
 
-def main_region(open_cells: BoolArray) -> BoolArray:
+def main_region(open_cells: Bools) -> Bools:
     """[H, W] the largest 8-connected region; of equal ones, the first in row order."""
     labels, count = ndimage.label(open_cells, structure=np.ones((3, 3)))
     if count <= 1:
@@ -179,7 +177,7 @@ def _make_grid(home: Home, resolution_m: float) -> _Grid:
     return _Grid(resolution_m, (float(low[0] - resolution_m), float(low[1] - resolution_m)), (rows, cols))
 
 
-def _inflated_obstacles(home: Home, radius_m: float) -> list[NDArray[np.float64]]:
+def _inflated_obstacles(home: Home, radius_m: float) -> list[Floats]:
     """Outlines of footprints and walls, grown by the robot's radius."""
     footprints = [*(c.footprint for c in home.containers), *(o.footprint for o in home.obstacles)]
     solid = np.array([shapely.Polygon(footprint) for footprint in footprints] + _walls(home), dtype=object)
@@ -206,7 +204,7 @@ def _walls(home: Home) -> list[LineString]:
 
 
 def _access_cell(
-    grid: _Grid, free: BoolArray, room_of: NDArray[np.int16], footprint: Polygon, own_room: int
+    grid: _Grid, free: Bools, room_of: NDArray[np.int16], footprint: Polygon, own_room: int
 ) -> tuple[int, int]:
     """The free cell nearest to the footprint, in its own room where it has one within reach; else (-1, -1)."""
     corners = np.array(footprint)
@@ -229,9 +227,7 @@ def _access_cell(
     return -1, -1
 
 
-def _distance_to_outline(
-    rows: NDArray[np.int64], cols: NDArray[np.int64], outline_rows: FloatArray, outline_cols: FloatArray
-) -> FloatArray:
+def _distance_to_outline(rows: Ints, cols: Ints, outline_rows: Floats, outline_cols: Floats) -> Floats:
     """Distance in cells from each cell to the polygon's outline (free cells are never inside a footprint)."""
     best = np.full(rows.shape, np.inf)
     for start_row, start_col, end_row, end_col in zip(

@@ -22,11 +22,11 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 import shapely
 import yaml
-from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import ndimage
 
+from mrtask.arrays import Bools, Ints
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import Size, load_catalogue
 from mrtask.homes.contents import fill_home, rooms_with
@@ -199,7 +199,7 @@ def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
     return Home(map_path.name, tuple(rooms), tuple(_openings(rooms)), tuple(containers), numbered)
 
 
-def _floor_cells(file: _YamlFile, facts: _MapFile) -> NDArray[np.bool_]:
+def _floor_cells(file: _YamlFile, facts: _MapFile) -> Bools:
     """[H, W] the largest region of surely free cells, row 0 at the origin's side (images start at the top)."""
     if facts.mode not in ("trinary", "scale"):
         raise file.error(("mode",), f"'{facts.mode}' is not supported; allowed: trinary, scale")
@@ -232,7 +232,7 @@ def _container(entry: _ContainerEntry) -> Container:
     return Container(entry.name, entry.type, entry.room, footprint, tuple(sorted(set(entry.objects or ()))))
 
 
-def _nearest_floor(floor: NDArray[np.bool_], facts: _MapFile, footprint: Polygon) -> tuple[int, int] | None:
+def _nearest_floor(floor: Bools, facts: _MapFile, footprint: Polygon) -> tuple[int, int] | None:
     """The floor cell nearest to a footprint, None where it is out of reach."""
     corners = (np.array(footprint) - facts.origin[:2]) / facts.resolution
     reach = REACH_M / facts.resolution
@@ -247,7 +247,7 @@ def _nearest_floor(floor: NDArray[np.bool_], facts: _MapFile, footprint: Polygon
     return (int(rows[best] + bottom), int(cols[best] + left)) if distance[best] <= reach else None
 
 
-def _divide(floor: NDArray[np.bool_], seeds: list[tuple[int, int]], rooms: list[int]) -> NDArray[np.int64]:
+def _divide(floor: Bools, seeds: list[tuple[int, int]], rooms: list[int]) -> Ints:
     """[H, W] the room of the seed with the shortest way to each cell; -1 off the floor."""
     best = np.full(floor.shape, np.inf, np.float32)
     room_of = np.full(floor.shape, -1, np.int64)
@@ -258,7 +258,7 @@ def _divide(floor: NDArray[np.bool_], seeds: list[tuple[int, int]], rooms: list[
     return room_of
 
 
-def _pieces(room_of: NDArray[np.int64], room: int) -> Iterator[shapely.Polygon]:
+def _pieces(room_of: Ints, room: int) -> Iterator[shapely.Polygon]:
     """A room's connected pieces in cells; pieces around another room are cut in two, so that no rooms overlap."""
     mine = room_of == room
     pending = list(_outlines(mine))
@@ -274,7 +274,7 @@ def _pieces(room_of: NDArray[np.int64], room: int) -> Iterator[shapely.Polygon]:
             pending += [part for part in shapely.get_parts(piece.intersection(half)) if part.geom_type == "Polygon"]
 
 
-def _outlines(mask: NDArray[np.bool_]) -> Iterator[shapely.Polygon]:
+def _outlines(mask: Bools) -> Iterator[shapely.Polygon]:
     """The polygons of a cell mask, in cells; built from runs along the rows."""
     edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, starts = np.nonzero(edges == 1)
@@ -282,7 +282,7 @@ def _outlines(mask: NDArray[np.bool_]) -> Iterator[shapely.Polygon]:
     yield from shapely.get_parts(shapely.union_all(shapely.box(starts, rows, ends, rows + 1)).simplify(0))
 
 
-def _holds_floor(room_of: NDArray[np.int64], hole: shapely.Polygon) -> bool:
+def _holds_floor(room_of: Ints, hole: shapely.Polygon) -> bool:
     left, bottom, right, top = (int(value) for value in hole.bounds)
     rows, cols = np.nonzero(room_of[bottom:top, left:right] >= 0)
     return bool(shapely.contains_xy(hole, cols + left + 0.5, rows + bottom + 0.5).any())

@@ -17,7 +17,8 @@ from math import inf
 
 import numpy as np
 
-from mrtask.planning.solver_belief import Belief, Bools
+from mrtask.arrays import Bools
+from mrtask.planning.solver_belief import Belief
 
 Robots = tuple[tuple[int, float], ...]
 """For each robot, in sorted order, the container of its last letter and when that was complete.

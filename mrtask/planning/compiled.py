@@ -8,8 +8,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
+from mrtask.arrays import UInt64s
 from mrtask.planning.compiler import Kernel, PartCompiler
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -45,7 +45,7 @@ def called(function: F) -> F:
 
 
 @inlined
-def random_unit(rng: NDArray[np.uint64]) -> float:
+def random_unit(rng: UInt64s) -> float:
     """splitmix64 (Steele et al. 2014): uniform in [0, 1); the state ``rng`` [1] is advanced in place."""
     rng[0] += np.uint64(0x9E3779B97F4A7C15)
     z = rng[0]

@@ -8,7 +8,8 @@ from mrtask.planning import greedy_kernel as kernel
 from mrtask.planning.compiled import compiled
 from mrtask.planning.problem import REASSIGN, Assignment, Plan, PlanningProblem, check_choice
 from mrtask.planning.reference import by_reference
-from mrtask.planning.team_kernel import NONE, Model, World
+from mrtask.planning.shared_kernel import NONE
+from mrtask.planning.team_kernel import Model, World
 from mrtask.planning.team_model import assignment_begun, root_world, team_model
 
 LATER_WEIGHT = 0.3

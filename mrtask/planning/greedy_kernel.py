@@ -9,16 +9,15 @@ Legend: R robots, C containers, O objects. Sets of objects are bit masks.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats, Ints, UInt8s, UInt64s
 from mrtask.planning.compiled import inlined
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_kernel import (
-    AUTOMATON,
     DECIDE,
     FOUND,
     INTERACTING,
     MOVING,
-    NONE,
     Model,
     World,
     act,
@@ -26,11 +25,6 @@ from mrtask.planning.team_kernel import (
     distance_s,
     nearest_holding,
 )
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-U1 = NDArray[np.uint8]
-U8 = NDArray[np.uint64]
 
 MIN_TRAVEL_S = 1e-9
 """Travel times count at least this much, so that likelihood decides between containers at no distance."""
@@ -47,11 +41,11 @@ class GreedyPolicy(NamedTuple):
     """
 
     later_weight: float  # what finding an object for later counts against finding one for now
-    tag: I8  # [K] key of the cached row, NONE if empty
-    inverse: F8  # [K, C] inf where a search is useless
-    skip: U1  # [C + O] actions to pass over: zeros between calls
-    action: I8  # [R] best actions of undecided robots, NONE (to wait) if there is none
-    score: F8  # [R] their scores
+    tag: Ints  # [K] key of the cached row, NONE if empty
+    inverse: Floats  # [K, C] inf where a search is useless
+    skip: UInt8s  # [C + O] actions to pass over: zeros between calls
+    action: Ints  # [R] best actions of undecided robots, NONE (to wait) if there is none
+    score: Floats  # [R] their scores
 
 
 @inlined
@@ -229,7 +223,7 @@ def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
 
 
 @inlined
-def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: U8) -> int:
+def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s) -> int:
     """Finishes the task greedily: DONE or STUCK."""
     while True:
         assign(model, world, greedy)

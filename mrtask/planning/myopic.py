@@ -8,17 +8,16 @@ When to go back to a known container is ours; the authors' code does so only whe
 task (``return_to_known``), which makes weaker baselines.
 """
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from mrtask.arrays import Bools, Floats
 from mrtask.planning.problem import (
     REASSIGN,
     WAIT,
     Assignment,
-    BoolArray,
-    FloatArray,
     Plan,
     PlanningProblem,
     check_choice,
@@ -29,12 +28,9 @@ from mrtask.tasks.automaton import NEVER_ACCEPTS
 
 RETURN_TO_KNOWN = ("at_once", "when_complete")
 
-Shortlist = Callable[[PlanningProblem, BoolArray, int], BoolArray]
-"""From a problem, the [C] containers open to search and the number of robots: the [C] containers to divide."""
 
-
-class MyopicPlanner:
-    """A rule of the paper: ``shortlist`` says which unsearched containers the robots divide among them.
+class MyopicPlanner(ABC):
+    """What both baselines share; a subclass chooses the unsearched containers that the robots divide among them.
 
     Args:
         reassign: one of `REASSIGN`.
@@ -47,12 +43,12 @@ class MyopicPlanner:
 
     knows_contents = False
 
-    def __init__(self, shortlist: Shortlist, reassign: str, return_to_known: str) -> None:
+    def __init__(self, reassign: str = "all", return_to_known: str = "at_once") -> None:
         check_choice("reassign", reassign, REASSIGN)
         check_choice("return_to_known", return_to_known, RETURN_TO_KNOWN)
-        self._shortlist, self._reassign, self._when_complete = shortlist, reassign, return_to_known == "when_complete"
+        self._reassign, self._when_complete = reassign, return_to_known == "when_complete"
 
-    def warm_up(self, problem: PlanningProblem) -> None:
+    def warm_up(self, problem: PlanningProblem) -> None:  # noqa: B027  (no subclass has anything to do here)
         """Nothing is compiled."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
@@ -73,6 +69,10 @@ class MyopicPlanner:
             assignments |= self._searches(problem, team, taken)
         return Plan({robot: assignments.get(robot, Assignment(WAIT)) for robot in deciding})
 
+    @abstractmethod
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
+        """[C] the containers that ``robots`` robots divide, out of those ``open_to_search`` [C]."""
+
     def _searches(self, problem: PlanningProblem, team: list[int], taken: set[int]) -> dict[int, Assignment]:
         """Divides the shortlist among the robots, as far as it goes."""
         travel_s = np.array([problem.robots[index].travel_s for index in team])
@@ -83,22 +83,22 @@ class MyopicPlanner:
         return {team[row]: Assignment(int(columns[column])) for row, column in pairs}
 
 
-def nonlearned_myopic(reassign: str = "all", return_to_known: str = "at_once") -> MyopicPlanner:
-    """The nearest unsearched containers, whatever they may hold."""
-    return MyopicPlanner(lambda problem, open_to_search, robots: open_to_search, reassign, return_to_known)
+class NonlearnedMyopic(MyopicPlanner):
+    """Searches the nearest containers first, whatever they may hold."""
+
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
+        return open_to_search
 
 
-def learned_myopic(reassign: str = "all", return_to_known: str = "at_once") -> MyopicPlanner:
-    """The unsearched containers with the highest summed likelihood of the objects still needed and not yet found."""
-    return MyopicPlanner(_likeliest, reassign, return_to_known)
+class LearnedMyopic(MyopicPlanner):
+    """Searches the containers with the highest summed likelihood of the objects still needed and not yet found."""
 
-
-def _likeliest(problem: PlanningProblem, open_to_search: BoolArray, robots: int) -> BoolArray:
-    wanted = needed(problem.automaton)[problem.state] & ~problem.found()
-    score: FloatArray = np.where(open_to_search, problem.presence_prob @ wanted.astype(float), -np.inf)
-    chosen = np.zeros_like(open_to_search)
-    chosen[np.argsort(-score, kind="stable")[:robots]] = True
-    return chosen & open_to_search
+    def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
+        wanted = needed(problem.automaton)[problem.state] & ~problem.found()
+        score: Floats = np.where(open_to_search, problem.presence_prob @ wanted.astype(float), -np.inf)
+        chosen = np.zeros_like(open_to_search)
+        chosen[np.argsort(-score, kind="stable")[:robots]] = True
+        return chosen & open_to_search
 
 
 def _taken(problem: PlanningProblem, deciding: list[int]) -> set[int]:

@@ -14,9 +14,9 @@ from enum import Enum
 from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
-from mrtask.planning.myopic import MyopicPlanner, _likeliest, learned_myopic, nonlearned_myopic
-from mrtask.planning.paper.planner import PaperOptions, PaperPouct
-from mrtask.planning.pouct import Known, Pouct, PouctOptions
+from mrtask.planning.myopic import LearnedMyopic, NonlearnedMyopic
+from mrtask.planning.paper.planner import PaperPouct
+from mrtask.planning.pouct import Known, Pouct
 from mrtask.planning.problem import Planner, PlanOnly
 
 PAPERS_PLANNER = "pouct_paper"
@@ -40,37 +40,20 @@ class Role(Enum):
 class PlannerEntry:
     """One planner of the table."""
 
-    factory: Callable[..., Planner]
-    """Makes the planner from its options, given as keywords."""
+    planner: Callable[..., Planner]
+    """Its class, which takes the options as keywords."""
     role: Role
-    options: Callable[..., object] | None = None
-    """The class of its options, where ``factory`` does not list them; for error messages."""
     published_as: str | None = None
     """The planner in the paper's table of results that it is compared with, by our name for it; None: not in it."""
 
 
-def pouct(**options: object) -> Planner:
-    """`Pouct` with `PouctOptions` as keywords."""
-    return Pouct(PouctOptions(**options))  # type: ignore[arg-type]
-
-
-def pouct_paper(**options: object) -> Planner:
-    """`PaperPouct` with `PaperOptions` as keywords."""
-    return PaperPouct(PaperOptions(**options))  # type: ignore[arg-type]
-
-
-def known(**options: object) -> Planner:
-    """`Known` with `PouctOptions` as keywords."""
-    return Known(PouctOptions(**options))  # type: ignore[arg-type]
-
-
 PLANNERS: Mapping[str, PlannerEntry] = {
-    "nonlearned_myopic": PlannerEntry(nonlearned_myopic, Role.BASELINE, published_as="nonlearned_myopic"),
-    "learned_myopic": PlannerEntry(learned_myopic, Role.BASELINE, published_as="learned_myopic"),
+    "nonlearned_myopic": PlannerEntry(NonlearnedMyopic, Role.BASELINE, published_as="nonlearned_myopic"),
+    "learned_myopic": PlannerEntry(LearnedMyopic, Role.BASELINE, published_as="learned_myopic"),
     "greedy": PlannerEntry(Greedy, Role.REFERENCE),
-    "pouct_paper": PlannerEntry(pouct_paper, Role.REFERENCE, PaperOptions, published_as=PAPERS_PLANNER),
-    "pouct": PlannerEntry(pouct, Role.OURS, PouctOptions, published_as=PAPERS_PLANNER),
-    "known": PlannerEntry(known, Role.BOUND, PouctOptions),
+    "pouct_paper": PlannerEntry(PaperPouct, Role.REFERENCE, published_as=PAPERS_PLANNER),
+    "pouct": PlannerEntry(Pouct, Role.OURS, published_as=PAPERS_PLANNER),
+    "known": PlannerEntry(Known, Role.BOUND),
 }
 """From the simplest planner to the best informed: the order of rows and legends."""
 
@@ -107,27 +90,21 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
     Raises:
         ValueError: an unknown name, an import path that leads nowhere, or options the planner refuses.
     """
-    entry = PLANNERS.get(name)
-    factory = entry.factory if entry else _imported(name)
+    factory = PLANNERS[name].planner if name in PLANNERS else _imported(name)
     try:
         planner = factory(**(options or {}))
     except (TypeError, ValueError) as error:
-        accepted = entry.options if entry and entry.options else factory
         raise ValueError(
-            f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(accepted)}"
+            f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(factory)}"
         ) from error
     return planner if isinstance(planner, Planner) else PlanOnly(planner.plan)
 
 
-def planner_name(planner: object) -> str:
-    """Return the planner's name among ours, or its import path."""
-    if isinstance(planner, PlanOnly):
-        planner = getattr(planner.plan, "__self__", planner.plan)
-    if isinstance(planner, MyopicPlanner):
-        return "learned_myopic" if planner._shortlist is _likeliest else "nonlearned_myopic"
-    ours = {Greedy: "greedy", PaperPouct: "pouct_paper", Pouct: "pouct", Known: "known"}
-    kind = type(planner)
-    return ours.get(kind, f"{kind.__module__}.{kind.__qualname__}")
+def planner_name(planner: Planner) -> str:
+    """The planner's name among ours, or the import path of its class (``package.module.Class``)."""
+    kind = type(getattr(planner.plan, "__self__", planner))  # of a `PlanOnly`: the class that it stands for
+    ours = (name for name, entry in PLANNERS.items() if entry.planner is kind)
+    return next(ours, f"{kind.__module__}.{kind.__qualname__}")
 
 
 def _imported(path: str) -> Callable[..., Planner]:

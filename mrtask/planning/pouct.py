@@ -25,11 +25,11 @@ from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
 from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
+from mrtask.planning.shared_kernel import NONE
 from mrtask.planning.team_kernel import Model, World, act, nearest_holding
 from mrtask.planning.team_model import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.tree import (
     NODES,
-    NONE,
     SearchOptions,
     Tree,
     empty_tree,
@@ -67,17 +67,14 @@ class PouctOptions(SearchOptions):
         check_choice("reassign", self.reassign, REASSIGN)
 
 
-class Pouct:
-    """The search planner; see the module and `PouctOptions`."""
+class Pouct(PouctOptions):
+    """Our search planner, made from its options: ``Pouct(samples=1000)``; see the module and `PouctOptions`."""
 
     knows_contents = False
 
-    def __init__(self, options: PouctOptions) -> None:
-        self.options = options
-
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels: one sample."""
-        Pouct(replace(self.options, samples=1)).plan(problem, seed=0)
+        """Compiles the kernels by planning with one sample."""
+        replace(self, samples=1).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -88,17 +85,16 @@ class Pouct:
         began_s = perf_counter()
         if problem.automaton.accepting[problem.state]:
             return Plan({index: Assignment(WAIT) for index, robot in enumerate(problem.robots) if robot.free})
-        options = self.options
         model = team_model(problem)
-        root, world = root_world(problem, model, options.reassign == "all"), blank_world(problem)
+        root, world = root_world(problem, model, self.reassign == "all"), blank_world(problem)
         deciders = int(root.robots.undecided.sum())
         if deciders == 0:
             return Plan({})
-        greedy, tree = policy(problem, options.later_weight), empty_tree(options)
-        search = kernel.Search(options.exploration, options.widening_factor, options.widening_exponent)
+        greedy, tree = policy(problem, self.later_weight), empty_tree(self)
+        search = kernel.Search(self.exploration, self.widening_factor, self.widening_exponent)
         rng = np.array([seed], dtype=np.uint64)
         done = run_search(
-            options,
+            self,
             run=lambda count: kernel.run_samples(model, root, world, tree, greedy, search, rng, count),
             is_settled=lambda samples_left: is_settled(tree, deciders, samples_left),
         )

@@ -6,29 +6,26 @@ greedy policy. An action is a container, WAIT, or C + object for an interaction 
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mrtask.arrays import UInt64s
 from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.greedy_kernel import GreedyPolicy, first_to_decide, next_action, rollout
+from mrtask.planning.problem import WAIT
 from mrtask.planning.reference import by_reference
+from mrtask.planning.shared_kernel import NONE, any_undecided
 from mrtask.planning.team_kernel import (
     DECIDE,
     HISTORY,
     STUCK,
-    WAIT,
     Model,
     World,
     act,
     advance,
-    any_undecided,
     copy_world,
     may_wait,
 )
 from mrtask.planning.tree import (
     EDGES,
     NODES,
-    NONE,
     Tree,
     add_edge,
     add_node,
@@ -38,8 +35,6 @@ from mrtask.planning.tree import (
     least_bound,
     spread_s,
 )
-
-U8 = NDArray[np.uint64]
 
 WAIT_RANK = 2
 """Waiting is tried after this many containers at a tree node."""
@@ -105,7 +100,9 @@ def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search
 
 
 @inlined
-def _sample(model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: U8) -> None:
+def _sample(
+    model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: UInt64s
+) -> None:
     """One sample from the root; the tree grows by a node, unless it is full."""
     copy_world(root, world)
     node, depth, key, outcome = 0, 0, 0, DECIDE
@@ -144,7 +141,14 @@ def _sample(model: Model, root: World, world: World, tree: Tree, greedy: GreedyP
 
 @compiled
 def run_samples(
-    model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: U8, samples: int
+    model: Model,
+    root: World,
+    world: World,
+    tree: Tree,
+    greedy: GreedyPolicy,
+    search: Search,
+    rng: UInt64s,
+    samples: int,
 ) -> None:
     """Runs samples from the root; ``world`` is overwritten."""
     model, root, world = by_reference(model), by_reference(root), by_reference(world)

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.tasks.automaton import Automaton
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
 WAIT = -1
-"""The container of an assignment that sends the robot nowhere until the next decision instant."""
+"""The container of an assignment, and the action of a search, that sends a robot nowhere until the next decision."""
+
+SAME_INSTANT_S = 1e-9
+"""Events at most this far apart happen at the same instant."""
 
 ANY_SAFE = -1
 """The interaction of an assignment under which the robot makes every interaction that cannot hurt, see `safe`."""
@@ -46,7 +46,7 @@ class RobotStatus:
     so. Any other robot is *busy* searching or interacting at ``place`` for ``remaining_s`` more.
     """
 
-    travel_s: FloatArray
+    travel_s: Floats
     """[C] seconds from where the robot is to each container; inf where unreachable."""
     place: int = -1
     """The container the robot stands at, -1 anywhere else."""
@@ -71,9 +71,9 @@ class PlanningProblem:
 
     automaton: Automaton
     state: int
-    presence_prob: FloatArray
-    searched: BoolArray
-    travel_s: FloatArray
+    presence_prob: Floats
+    searched: Bools
+    travel_s: Floats
     robots: tuple[RobotStatus, ...]
     search_time_s: float = 0.0
     interact_time_s: float = 0.0
@@ -106,7 +106,7 @@ class PlanningProblem:
         redirect = reassign == "all" and self.may_redirect
         return [index for index, robot in enumerate(self.robots) if robot.free or (redirect and robot.target >= 0)]
 
-    def found(self) -> BoolArray:
+    def found(self) -> Bools:
         """[O] whether some container is known to hold the object."""
         known = (self.presence_prob > 0) & self.searched[:, None]
         return np.asarray(known.any(axis=0))
@@ -171,20 +171,20 @@ class PlanOnly:
         """Nothing is known of what it may compile."""
 
 
-def safe(automaton: Automaton) -> BoolArray:
+def safe(automaton: Automaton) -> Bools:
     """[Z, O]: interactions that advance the task and cannot hurt: afterwards all that would have served still serves.
 
     That is ``L(delta(z, w))`` contains ``L(z)``.
     """
     after = automaton.transitions
     before = np.arange(len(after))[:, None]
-    result: BoolArray = automaton.advancing & automaton.includes[after, before]
+    result: Bools = automaton.advancing & automaton.includes[after, before]
     return result
 
 
-def needed(automaton: Automaton) -> BoolArray:
+def needed(automaton: Automaton) -> Bools:
     """[Z, O]: objects that advance the task in the state or in one that can still come before acceptance."""
-    result: BoolArray = automaton.advancing.copy()
+    result: Bools = automaton.advancing.copy()
     while True:
         grown = result.copy()
         for obj in range(result.shape[1]):

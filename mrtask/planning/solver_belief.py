@@ -10,14 +10,11 @@ Legend for array shapes: R robots, C containers, O task objects, Z automaton sta
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Floats
 from mrtask.planning.problem import PlanningProblem, needed, safe
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.automaton import Automaton
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

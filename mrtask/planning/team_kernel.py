@@ -9,36 +9,21 @@ Legend: R robots, C containers, O objects, Z automaton states. Sets of objects a
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats, Ints, UInt64s
 from mrtask.planning.compiled import Records, inlined, random_unit
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-U8 = NDArray[np.uint64]
+from mrtask.planning.problem import SAME_INSTANT_S, WAIT
+from mrtask.planning.shared_kernel import AUTOMATON, NONE, copy_team
 
 FREE, MOVING, SEARCHING, INTERACTING = 0, 1, 2, 3
 DECIDE, DONE, STUCK = 0, 1, 2
-WAIT = -1
-NONE = -1
-SAME_INSTANT_S = 1e-9
-AUTOMATON, FOUND, HISTORY, NEWS = 0, 1, 2, 3
-"""Indices of `World.state`."""
+FOUND, HISTORY, NEWS = 1, 2, 3
+"""Indices of `World.state`, after AUTOMATON."""
 HISTORY_FACTOR = 0x9E3779B97F4A7C15 - 2**64
 """2**64 over the golden ratio. Its multiples by numbers below 2**31 are more than 2**31 apart, so that no two histories
 of up to two reveals meet in 64 bits, and longer ones do with negligible probability."""
 
 
-STATE = np.dtype(
-    [
-        ("advancing", np.int64),  # mask
-        ("safe", np.int64),  # mask: interactions taken without a decision
-        ("needed", np.int64),  # mask: advancing now or later
-        ("steps", np.int64),  # interactions to acceptance
-        ("accepting", np.int64),
-    ],
-    align=True,
-)
 CONTAINER = np.dtype(
     [
         ("holds", np.int64),  # mask of the objects known to be in a searched container
@@ -65,9 +50,9 @@ ROBOT = np.dtype(
 class Model(NamedTuple):
     """What does not change while planning."""
 
-    travel_s: F8  # [C, C]
-    prob: F8  # [C, O], strictly inside (0, 1); rows of searched containers are not read
-    transitions: I8  # [Z, O]
+    travel_s: Floats  # [C, C]
+    prob: Floats  # [C, O], strictly inside (0, 1); rows of searched containers are not read
+    transitions: Ints  # [Z, O]
     states: Records  # [Z] of STATE
     search_time_s: float
     interact_time_s: float
@@ -77,26 +62,19 @@ class Model(NamedTuple):
 class World(NamedTuple):
     """One sample's state; the root's is kept aside and copied."""
 
-    clock: F8  # [1] seconds since the root
-    state: I8  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of what was revealed, NEWS 1 if there was any
+    clock: Floats  # [1] seconds since the root
+    state: Ints  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of all reveals, NEWS 1 if there was any
     containers: Records  # [C] of CONTAINER
-    nowhere: F8  # [O] probability that no unsearched container holds the object
+    nowhere: Floats  # [O] probability that no unsearched container holds the object
     robots: Records  # [R] of ROBOT
-    away: F8  # [R, C] travel times from the place that is no container
+    away: Floats  # [R, C] travel times from the place that is no container
 
 
 @inlined
 def copy_world(source: World, target: World) -> None:
     """Overwrites target."""
-    target.clock[0] = source.clock[0]
-    for i in range(4):
-        target.state[i] = source.state[i]
-    for c in range(source.containers.size):
-        target.containers[c] = source.containers[c]
-    for o in range(source.nowhere.size):
-        target.nowhere[o] = source.nowhere[o]
+    copy_team(source, target)
     for r in range(source.robots.size):
-        target.robots[r] = source.robots[r]
         if source.robots[r].origin == NONE:
             for c in range(source.containers.size):
                 target.away[r, c] = source.away[r, c]
@@ -166,7 +144,7 @@ def history_after(history: int, held: int, c: int, containers: int) -> int:
 
 
 @inlined
-def _reveal(model: Model, world: World, rng: U8, c: int) -> None:
+def _reveal(model: Model, world: World, rng: UInt64s, c: int) -> None:
     """Draws what a container holds, given all that was seen and that every object still needed exists somewhere."""
     needed, found, held = model.states[world.state[AUTOMATON]].needed, world.state[FOUND], 0
     for o in range(model.prob.shape[1]):
@@ -221,7 +199,7 @@ def _release(world: World, r: int) -> None:
 
 
 @inlined
-def _finish_event(model: Model, world: World, rng: U8, r: int) -> bool:
+def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
     """Handles one robot's due event; True if that frees it."""
     robot = world.robots[r]
     if robot.mode == MOVING:
@@ -250,7 +228,7 @@ def _finish_event(model: Model, world: World, rng: U8, r: int) -> bool:
 
 
 @inlined
-def advance(model: Model, world: World, rng: U8) -> int:
+def advance(model: Model, world: World, rng: UInt64s) -> int:
     """Lets time run to the next decision instant: DECIDE with `undecided` set, DONE, or STUCK."""
     robots = world.robots.size
     world.state[NEWS] = 0
@@ -293,15 +271,6 @@ def reconsider(world: World, r: int) -> None:
     robot = world.robots[r]
     robot.undecided = 1
     world.containers[robot.place].targeted -= 1
-
-
-@inlined
-def any_undecided(world: World) -> bool:
-    """Whether some robot is still to be assigned at this instant."""
-    for r in range(world.robots.size):
-        if world.robots[r].undecided:
-            return True
-    return False
 
 
 @inlined

@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from mrtask.arrays import Ints
 from mrtask.planning import team_kernel as kernel
 from mrtask.planning.compiled import Records
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, needed, safe
+from mrtask.planning.shared_kernel import AUTOMATON, NONE, STATE
 from mrtask.tasks.automaton import Automaton
 
 MIN_PROB = 1e-6
@@ -49,7 +51,7 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
     root.containers.searched[:] = problem.searched
     root.containers.holds[:] = np.where(problem.searched, masks(problem.presence_prob > 0), 0)
     root.nowhere[:] = np.prod(np.where(problem.searched[:, None], 1.0, 1.0 - model.prob), axis=0)
-    root.state[kernel.AUTOMATON] = problem.state
+    root.state[AUTOMATON] = problem.state
     root.state[kernel.FOUND] = np.bitwise_or.reduce(root.containers.holds)
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
@@ -60,7 +62,7 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
             continue
         record.until_s = robot.remaining_s
         if robot.target >= 0:
-            record.mode, record.place, record.origin = kernel.MOVING, robot.target, kernel.NONE
+            record.mode, record.place, record.origin = kernel.MOVING, robot.target, NONE
         else:
             record.mode = kernel.SEARCHING if robot.interacting < 0 else kernel.INTERACTING
             record.doing = robot.interacting
@@ -83,10 +85,10 @@ def blank_world(problem: PlanningProblem) -> kernel.World:
             robots,
             kernel.ROBOT,
             until_s=np.inf,
-            place=kernel.NONE,
-            want=kernel.NONE,
-            doing=kernel.NONE,
-            origin=kernel.NONE,
+            place=NONE,
+            want=NONE,
+            doing=NONE,
+            origin=NONE,
         ),
         away=np.zeros((robots, containers)),
     )
@@ -102,7 +104,7 @@ def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Reco
 
 def state_records(automaton: Automaton) -> Records:
     """[Z] what kernels know of a task's states."""
-    records = blank_records(len(automaton.accepting), kernel.STATE)
+    records = blank_records(len(automaton.accepting), STATE)
     records.advancing[:] = masks(automaton.advancing)
     records.safe[:] = masks(safe(automaton))
     records.needed[:] = masks(needed(automaton))
@@ -116,10 +118,10 @@ def assignment_begun(world: kernel.World, robot: int) -> Assignment:
     if world.robots[robot].mode != kernel.MOVING:
         return Assignment(WAIT)
     want = int(world.robots[robot].want)
-    return Assignment(int(world.robots[robot].place), ANY_SAFE if want == kernel.NONE else want)
+    return Assignment(int(world.robots[robot].place), ANY_SAFE if want == NONE else want)
 
 
-def masks(members: np.ndarray) -> kernel.I8:
+def masks(members: np.ndarray) -> Ints:
     """[N] bit masks of the rows of a boolean [N, O]."""
-    result: kernel.I8 = (members.astype(np.int64) << np.arange(members.shape[1])).sum(axis=1)
+    result: Ints = (members.astype(np.int64) << np.arange(members.shape[1])).sum(axis=1)
     return result

@@ -14,15 +14,12 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats, Ints
 from mrtask.planning.compiled import Records, inlined
 from mrtask.planning.problem import Assignment
+from mrtask.planning.shared_kernel import NONE
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-
-NONE = -1
 NODES, EDGES = 0, 1
 """Indices of `Tree.size`."""
 COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
@@ -85,11 +82,11 @@ EDGE = np.dtype(
 class Tree(NamedTuple):
     """The arrays of a search, allocated once per plan."""
 
-    size: I8  # [2] NODES and EDGES in use
+    size: Ints  # [2] NODES and EDGES in use
     nodes: Records  # [M] of NODE
     edges: Records  # [M] of EDGE
-    path: I8  # [MAX_PATH] edges of the sample under way
-    moments: F8  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
+    path: Ints  # [MAX_PATH] edges of the sample under way
+    moments: Floats  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
 
 def empty_tree(options: SearchOptions) -> Tree:

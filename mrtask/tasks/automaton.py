@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Bools, Int32s
 from mrtask.tasks.formula import Formula, check_names, parse, proposition_names, push_negations
 from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, State
 
@@ -21,9 +21,6 @@ MAX_STATES = 10_000
 NEVER_ACCEPTS = 2**30
 """In ``steps_to_accept``, the sink's: larger than any number of letters, and two of them still add up in int32."""
 _ROWS_PER_BLOCK = 256
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,32 +33,32 @@ class Automaton:
 
     formula: str
     propositions: tuple[str, ...]
-    transitions: IntArray
+    transitions: Int32s
     """``[Z, O]``: the state after the interaction."""
-    accepting: BoolArray
+    accepting: Bools
     """``[Z]``"""
     sink: int
     """The state from which acceptance cannot be reached, -1 if there is none."""
     initial: int
 
     @cached_property
-    def advancing(self) -> BoolArray:
+    def advancing(self) -> Bools:
         """``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
         itself = np.arange(len(self.transitions))[:, None]
-        advancing: BoolArray = (self.transitions != itself) & (self.transitions != self.sink)
+        advancing: Bools = (self.transitions != itself) & (self.transitions != self.sink)
         return advancing
 
     @cached_property
-    def steps_to_accept(self) -> IntArray:
+    def steps_to_accept(self) -> Int32s:
         """``[Z]``: the least number of letters to an accepting state, ``NEVER_ACCEPTS`` for the sink."""
         return _steps_to_accept(self.transitions, self.accepting)
 
-    def steps_with(self, available: BoolArray) -> IntArray:
+    def steps_with(self, available: Bools) -> Int32s:
         """``[Z]``: as ``steps_to_accept``, with letters of the ``available`` ``[O]`` propositions alone."""
         return _steps_to_accept(self.transitions[:, available], self.accepting)
 
     @cached_property
-    def includes(self) -> BoolArray:
+    def includes(self) -> Bools:
         """``[Z, Z]``: ``includes[a, b]`` when all that finishes the task from ``b`` also finishes it from ``a``."""
         # The greatest fixed point over the letters, from a necessary condition that leaves few pairs; in blocks of
         # rows, since lists of all pairs would take far more memory than the result.
@@ -161,7 +158,7 @@ class _TooManyStatesError(Exception):
     """Exploration found more states than allowed."""
 
 
-def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tuple[IntArray, BoolArray]:
+def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tuple[Int32s, Bools]:
     """The S states that progression reaches, the formula's own first: the successors ``[S, len(letters) + 1]`` after
     each letter and, in the last column, after none of them; and whether each accepts ``[S]``."""
     progression = Progression()
@@ -192,7 +189,7 @@ def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tup
         accepting = extended
 
 
-def _minimised(graph: IntArray, accepting: BoolArray) -> tuple[IntArray, BoolArray]:
+def _minimised(graph: Int32s, accepting: Bools) -> tuple[Int32s, Bools]:
     """Moore's partition refinement of the graph ``[S, O]``, then the blocks reached from state 0, breadth first."""
     block = accepting.astype(np.intp)
     count = len(np.unique(block))
@@ -216,11 +213,11 @@ def _minimised(graph: IntArray, accepting: BoolArray) -> tuple[IntArray, BoolArr
     return np.ascontiguousarray(number[block[graph[kept]]]), accepting[kept]
 
 
-def _steps_to_accept(transitions: IntArray, accepting: BoolArray) -> IntArray:
+def _steps_to_accept(transitions: Int32s, accepting: Bools) -> Int32s:
     steps = np.where(accepting, 0, NEVER_ACCEPTS).astype(np.int32)
     while True:
         through_next = steps[transitions].min(axis=1, initial=NEVER_ACCEPTS - 1) + 1
-        nearer: IntArray = np.minimum(steps, through_next).astype(np.int32)
+        nearer: Int32s = np.minimum(steps, through_next).astype(np.int32)
         if (nearer == steps).all():
             return steps
         steps = nearer

@@ -27,8 +27,8 @@ from pyrobosim.utils.pose import Pose
 from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
-from mrtask.execution.motion import Position, plan_route
 from mrtask.execution.make_trial import free_cell_near
+from mrtask.execution.motion import Position, plan_route
 from mrtask.homes.home import Point
 from mrtask.maps.home_map import HomeMap
 from simulators.pyrobosim.robot import Body

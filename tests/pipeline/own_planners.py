@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from mrtask.planning.myopic import nonlearned_myopic
+from mrtask.planning.myopic import NonlearnedMyopic
 from mrtask.planning.problem import Assignment, Plan, PlanningProblem
 
 PACE_S = 0.3
@@ -16,7 +16,7 @@ class Baseline:
     """The non-learned baseline under another name."""
 
     def __init__(self) -> None:
-        self._rule = nonlearned_myopic()
+        self._rule = NonlearnedMyopic()
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """The baseline's plan."""

@@ -7,10 +7,10 @@ import pytest
 
 from mrtask.planning.compiled import compiled
 from mrtask.planning.paper import belief_kernel as kernel
-from mrtask.planning.paper.belief_kernel import AUTOMATON, LOCATED
+from mrtask.planning.paper.belief_kernel import LOCATED
 from mrtask.planning.paper.paper_model import blank_belief, paper_model, root_belief, sufficient_sets
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_model import state_records
-from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import build_automaton
 from tests.planning.algorithm1 import RobotAction, TeamBelief, advance_belief_until_robot_free
 from tests.planning.problems import random_problem

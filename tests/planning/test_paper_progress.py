@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrtask.planning.paper.planner import PaperOptions, PaperPouct
+from mrtask.planning.paper.planner import PaperPouct
 from mrtask.planning.problem import PlanningProblem, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula
@@ -56,7 +56,7 @@ def test_every_episode_ends_and_none_idles(template, reassign):
             search_time_s=seed % 2 * 3.0,
             interact_time_s=(0.0, 1.0, 10.0)[seed % 3],
         )
-        planner = PaperPouct(PaperOptions(samples=(1, 20, 300)[seed % 3], reassign=reassign))
+        planner = PaperPouct(samples=(1, 20, 300)[seed % 3], reassign=reassign)
         played = Play(problem, some_truth(problem, seed)).run(planner, seed)
         assert played.accepted
         assert played.most_idle <= 2 * robots
@@ -74,7 +74,7 @@ def test_known_places_are_not_paced_between():
     truth = np.zeros((8, 4), dtype=bool)
     truth[[0, 2, 2, 3, 6], [2, 0, 3, 3, 1]] = True
     for seed in range(5):
-        played = Play(problem, truth).run(PaperPouct(PaperOptions(samples=10_000)), seed)
+        played = Play(problem, truth).run(PaperPouct(samples=10_000), seed)
         assert played.accepted
         assert played.decisions <= 12
 
@@ -86,17 +86,17 @@ def test_an_interaction_that_hurts_is_not_made_where_a_harmless_one_costs_the_sa
         "F a & (b -> X F c)", ["a", "b", "c"], [[3, 0]], [[0, 0]], [[1, 1, 1]], searched=[0], interact_time_s=0.0
     )
     for seed in range(10):
-        plan = PaperPouct(PaperOptions(samples=20, choice=choice)).plan(problem, seed)
+        plan = PaperPouct(samples=20, choice=choice).plan(problem, seed)
         assert plan.assignments[0] != (0, 1)
     # Where only the detour by b and c completes the task, it is taken.
     problem = make_problem("(!b U a) | F (b & X F c)", ["a", "b", "c"], [[3, 0]], [[0, 0]], [[0, 1, 1]], searched=[0])
-    assert Play(problem, np.array([[False, True, True]])).run(PaperPouct(PaperOptions(samples=20))).accepted
+    assert Play(problem, np.array([[False, True, True]])).run(PaperPouct(samples=20)).accepted
 
 
 def test_interaction_times_count_at_a_leaf():
     # One robot beside three objects takes three interactions, three robots one.
     formula, names, place = "F a & F b & F c", ["a", "b", "c"], [[0, 0]]
     problem = make_problem(formula, names, place, place, [[1, 1, 1]], searched=[0], interact_time_s=10.0)
-    assert PaperPouct(PaperOptions(samples=1)).plan(problem, 0).info.value_s == pytest.approx(30.0)
+    assert PaperPouct(samples=1).plan(problem, 0).info.value_s == pytest.approx(30.0)
     crowd = replace(problem, robots=problem.robots * 3)
-    assert PaperPouct(PaperOptions(samples=1)).plan(crowd, 0).info.value_s == pytest.approx(10.0)
+    assert PaperPouct(samples=1).plan(crowd, 0).info.value_s == pytest.approx(10.0)

@@ -12,12 +12,13 @@ from mrtask.planning.paper import search_kernel as kernel
 from mrtask.planning.paper.paper_model import blank_belief
 from mrtask.planning.paper.planner import PaperOptions, PaperSearch
 from mrtask.planning.problem import RobotStatus
+from mrtask.planning.shared_kernel import any_undecided
 from mrtask.planning.tree import edges_of
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
 from tests.planning.naive_random import SplitMix64
 from tests.planning.problems import random_problem, tiny_problem
 
-act, any_undecided, copy_belief = compiled(kernel.act), compiled(kernel.any_undecided), compiled(kernel.copy_belief)
+act, any_undecided, copy_belief = compiled(kernel.act), compiled(any_undecided), compiled(kernel.copy_belief)
 decision_node, mark_undecided = compiled(kernel.decision_node), compiled(kernel.mark_undecided)
 may_wait, sample_outcome = compiled(kernel.may_wait), compiled(kernel.sample_outcome)
 next_action, rest_s = compiled(action_kernel.next_action), compiled(leaf_kernel.rest_s)

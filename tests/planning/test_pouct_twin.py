@@ -5,7 +5,7 @@ import pytest
 
 from mrtask.planning import pouct
 from mrtask.planning.greedy import Greedy
-from mrtask.planning.pouct import Pouct, PouctOptions
+from mrtask.planning.pouct import Pouct
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
@@ -20,11 +20,11 @@ CASES = [
 ]
 
 
-def compare(problem, seed, options, monkeypatch):
+def compare(problem, seed, planner, monkeypatch):
     monkeypatch.setattr(pouct, "is_settled", lambda *arguments: False)
-    plan = Pouct(options).plan(problem, seed)
-    naive = NaivePouct(problem, team_model(problem).prob, seed, options)
-    tree = naive.run(options.samples)
+    plan = planner.plan(problem, seed)
+    naive = NaivePouct(problem, team_model(problem).prob, seed, planner)
+    tree = naive.run(planner.samples)
     seen = {assignment: (visits, mean_s) for assignment, visits, mean_s, _ in plan.info.root}
     expected = {}
     for edge in tree.edges:
@@ -50,14 +50,14 @@ def test_every_sample_of_pouct_equals_the_twins(template, robots, containers, se
         search_time_s=seconds[0],
         interact_time_s=seconds[1],
     )
-    compare(problem, seed, PouctOptions(samples=200), monkeypatch)
+    compare(problem, seed, Pouct(samples=200), monkeypatch)
 
 
 def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):
-    options = PouctOptions(
+    planner = Pouct(
         samples=300, max_nodes=40, exploration=0.4, widening_factor=2.0, widening_exponent=0.5, later_weight=0.7
     )
-    naive = compare(random_problem(5, template="or_seq", robots=2, containers=6), 9, options, monkeypatch)
+    naive = compare(random_problem(5, template="or_seq", robots=2, containers=6), 9, planner, monkeypatch)
     assert naive.nodes == 40
 
 
@@ -67,7 +67,7 @@ def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):
 def test_greedy_equals_the_twins(template, robots):
     for seed in range(5):
         problem = random_problem(seed, template=template, robots=robots, containers=6)
-        naive = NaivePouct(problem, team_model(problem).prob, 0, PouctOptions())
+        naive = NaivePouct(problem, team_model(problem).prob, 0, Pouct())
         state, expected = naive.root, {}
         while state.undecided:
             robot, action = naive.greedy(state)

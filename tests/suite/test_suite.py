@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from mrtask.errors import InputError
-from mrtask.planning.myopic import nonlearned_myopic
+from mrtask.planning.myopic import NonlearnedMyopic
 from mrtask.planning.problem import Plan, PlanningProblem
 from mrtask.suite import frozen, score
 from mrtask.suite.card import render_card
@@ -35,7 +35,7 @@ class FailsInLargeHomes:
     """The non-learned baseline with a bug."""
 
     def __init__(self) -> None:
-        self._rule = nonlearned_myopic()
+        self._rule = NonlearnedMyopic()
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         if len(problem.robots) == 3:

@@ -12,14 +12,13 @@ from string import ascii_lowercase
 import numpy as np
 
 from mrtask.analysis.page.style import planner_label
+from mrtask.arrays import Bools, Floats
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home, Point
 from mrtask.planning.problem import (
     ANY_SAFE,
     WAIT,
     Assignment,
-    BoolArray,
-    FloatArray,
     Plan,
     PlanningProblem,
     RobotStatus,
@@ -78,7 +77,7 @@ class Decision:
     """A decision: what the team believed, what was weighed and what was chosen."""
 
     t_s: float
-    belief: FloatArray
+    belief: Floats
     """[C, O], see `existence_belief`."""
     actions: tuple[Action, ...]
     samples: int
@@ -161,7 +160,7 @@ class Replay:
         """When the last of the runs ended."""
         return max((run.end_s for run in self.runs), default=0.0)
 
-    def holds(self) -> BoolArray:
+    def holds(self) -> Bools:
         """[C, O] which container holds which task object."""
         return np.array(
             [[name in container.objects for name in self.objects] for container in self.home.containers], dtype=bool
@@ -201,7 +200,7 @@ def make_replay(
     )
 
 
-def existence_belief(presence_prob: FloatArray, searched: BoolArray) -> FloatArray:
+def existence_belief(presence_prob: Floats, searched: Bools) -> Floats:
     """[C, O] the probability that each container holds each object, given that every object exists somewhere.
 
     That is the belief of a planner who knows that the task can be done: each container searched in vain makes the
@@ -209,7 +208,7 @@ def existence_belief(presence_prob: FloatArray, searched: BoolArray) -> FloatArr
     """
     found = ((presence_prob > 0) & searched[:, None]).any(axis=0)
     somewhere = 1.0 - np.prod(np.where(searched[:, None], 1.0, 1.0 - presence_prob), axis=0)
-    belief: FloatArray = np.where(
+    belief: Floats = np.where(
         found | (somewhere <= 0), presence_prob, presence_prob / np.where(somewhere > 0, somewhere, 1.0)
     )
     return belief

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from mrtask.analysis.page.columns import Column, Table, make_table
 from mrtask.analysis.page.style import house_style, new_figure, planner_label, planner_looks
 from mrtask.analysis.results.episodes import size_classes_in_order
-from mrtask.analysis.results.statistics import Floats, Summary, paired_costs
+from mrtask.analysis.results.statistics import Summary, paired_costs
+from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 

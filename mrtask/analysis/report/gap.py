@@ -34,11 +34,11 @@ from mrtask.analysis.results.statistics import (
     Bootstrap,
     Cell,
     Estimate,
-    Floats,
     Summary,
     cell_name,
     paired_costs,
 )
+from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import Role, planners_in_order, planners_with_role
 

@@ -21,9 +21,9 @@ from mrtask.analysis.results.statistics import (
     RULE,
     Bootstrap,
     Estimate,
-    Floats,
     improvement_of_means,
 )
+from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 

@@ -15,8 +15,8 @@ from mrtask.analysis.results.statistics import (
     Bootstrap,
     Cell,
     Estimate,
-    Floats,
 )
+from mrtask.arrays import Floats
 from mrtask.bounds.lower_bound import BoundKind
 
 

@@ -12,15 +12,13 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from mrtask.analysis.results.episodes import STATUSES, size_classes_in_order
+from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import Role, planner_role, planners_in_order, planners_with_role
-
-Floats = NDArray[np.float64]
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95

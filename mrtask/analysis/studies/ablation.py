@@ -27,7 +27,6 @@ from mrtask.analysis.results.statistics import (
     INFORMED_BASELINE,
     Bootstrap,
     Estimate,
-    Floats,
     Summary,
     cell_name,
     improvement_of_means,
@@ -35,6 +34,7 @@ from mrtask.analysis.results.statistics import (
     paired_costs,
     summarise,
 )
+from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planners_with_role
 

@@ -17,11 +17,11 @@ from mrtask.analysis.results.statistics import (
     Bootstrap,
     Cell,
     Estimate,
-    Floats,
     improvement_of_means,
     main_planner,
 )
 from mrtask.analysis.studies.calibration import Calibration, calibration, change, mean_loss
+from mrtask.arrays import Floats
 
 TRUTH = "truth"
 CONTENTS_NAMES = {"procthor": "ProcTHOR", "housekeep": "people"}

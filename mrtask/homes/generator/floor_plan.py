@@ -13,9 +13,9 @@ from itertools import groupby, pairwise
 import networkx as nx
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from mrtask.arrays import Bools, Floats, Ints
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.homes.home import Point, Polygon, size_class_of
 
@@ -28,7 +28,7 @@ SEEDS_WEIGHED = 3
 OUTSIDE, EMPTY = -2, -1
 COORDINATE_DECIMALS = 3
 
-Grid = NDArray[np.int64]
+Grid = Ints
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _draw(quantiles: Sequence[float], rng: np.random.Generator) -> float:
     return float(np.interp(rng.random(), np.linspace(0, 1, len(quantiles)), quantiles))
 
 
-def _grow(grid: Grid, weights: NDArray[np.float64], rng: np.random.Generator) -> Grid:
+def _grow(grid: Grid, weights: Floats, rng: np.random.Generator) -> Grid:
     """Rooms take turns, the one furthest below its share first, until no cell is empty."""
     grid = grid.copy()
     target = weights * (grid == EMPTY).sum()
@@ -142,12 +142,10 @@ def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, 
     return seeds
 
 
-def _best_strip(
-    grid: Grid, room: int, whole_side: bool, rng: np.random.Generator
-) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def _best_strip(grid: Grid, room: int, whole_side: bool, rng: np.random.Generator) -> tuple[Ints, Ints] | None:
     """The longest run of empty cells along one side of the room: of the whole side, or (L-shapes) of a part of it."""
     mine = grid == room
-    options: list[tuple[float, tuple[NDArray[np.int64], NDArray[np.int64]]]] = []
+    options: list[tuple[float, tuple[Ints, Ints]]] = []
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = np.zeros_like(mine)
         if axis == 0:
@@ -169,12 +167,12 @@ def _best_strip(
     return max(options, key=lambda option: option[0])[1] if options else None
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+def _runs(flags: Bools) -> list[Ints]:
     places = np.flatnonzero(flags)
     return [] if len(places) == 0 else np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
 
 
-def _fault(grid: Grid, weights: NDArray[np.float64]) -> float | None:
+def _fault(grid: Grid, weights: Floats) -> float | None:
     """How far the plan is from the shares; None when a room is no simple polygon or the rooms do not hang together."""
     if (grid == EMPTY).any():
         return None
@@ -197,7 +195,7 @@ def neighbours(grid: Grid) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in np.unique(np.sort(flat, axis=1), axis=0)]
 
 
-def _is_simple(mask: NDArray[np.bool_]) -> bool:
+def _is_simple(mask: Bools) -> bool:
     """Whether the cells form one polygon without holes or points where it touches itself."""
     around = np.pad(mask, 1)
     nw, ne, sw, se = around[:-1, :-1], around[:-1, 1:], around[1:, :-1], around[1:, 1:]
@@ -230,7 +228,7 @@ def _walls(grid: Grid, side_m: float) -> Iterator[Wall]:
                     yield Wall((first, second), *(_point(col, row, side_m) for col, row in ends))
 
 
-def _strips(weights: NDArray[np.float64]) -> Grid:
+def _strips(weights: Floats) -> Grid:
     """Each room a strip across the footprint, as wide as its share."""
     cells = np.maximum(np.round(weights * 4 * len(weights)).astype(int), 1)
     return np.tile(np.repeat(np.arange(len(weights)), cells), (max(int(cells.sum()) // 2, 2), 1))

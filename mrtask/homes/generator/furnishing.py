@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.draw import polygon as cells_inside
 
+from mrtask.arrays import Floats, Ints
 from mrtask.homes.catalogue import CONTAINER_TYPES, Catalogue, Size, is_larger
 from mrtask.homes.home import Point, Polygon
 
@@ -42,7 +43,7 @@ SEAT_OVERLAP = (0.15, 0.35)
 TURNED_FREELY = frozenset({"FloorLamp", "HousePlant"})
 DECIMALS = 4
 
-Cells = tuple[NDArray[np.int64], NDArray[np.int64]]
+Cells = tuple[Ints, Ints]
 Segment = tuple[Point, Point]
 
 
@@ -61,8 +62,8 @@ class Piece:
 class _Places:
     """Candidate places of one piece: centres [N, 2] and rotations [N] in degrees."""
 
-    centers: NDArray[np.float64]
-    rotations_deg: NDArray[np.float64]
+    centers: Floats
+    rotations_deg: Floats
 
     def shapes(self, size_m: Size) -> NDArray[np.object_]:
         """[N] the footprints of a box of this size."""
@@ -100,7 +101,7 @@ class _Floor:
         cells: Cells = cells_inside(rows, cols, shape=self._passable.shape)  # type: ignore[no-untyped-call]
         return cells
 
-    def fitting(self, shapes: NDArray[np.object_], table: shapely.Polygon | None = None) -> NDArray[np.int64]:
+    def fitting(self, shapes: NDArray[np.object_], table: shapely.Polygon | None = None) -> Ints:
         """The indices of the shapes that lie in the room and off doors and furniture; chairs may be under ``table``."""
         fits = shapely.covers(self.shape, shapes)
         for zone in self._zones:

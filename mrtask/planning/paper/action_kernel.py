@@ -12,18 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mrtask.arrays import Floats, Ints
 from mrtask.planning.compiled import Records, called, inlined
 from mrtask.planning.paper.belief_kernel import (
-    AUTOMATON,
-    F8,
-    I8,
     LOCATED,
     PaperBelief,
     PaperModel,
     distance_s,
     presence_prob,
 )
-from mrtask.planning.tree import NONE, Tree
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
+from mrtask.planning.tree import Tree
 
 
 class ActionRules(NamedTuple):
@@ -49,8 +48,8 @@ class ActionLimits(NamedTuple):
     """What the rules leave at each node, worked out at its first visit."""
 
     nodes: Records  # [M] of LIMIT
-    ranked_prob: F8  # [max_actions] work space: the likeliest actions so far
-    ranked: I8  # [max_actions]
+    ranked_prob: Floats  # [max_actions] work space: the likeliest actions so far
+    ranked: Ints  # [max_actions]
 
 
 @inlined

@@ -7,19 +7,14 @@ is ``container * O + object``.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mrtask.arrays import Floats, Ints, UInt64s
 from mrtask.planning.compiled import Records, inlined, random_unit
-from mrtask.planning.tree import NONE
+from mrtask.planning.problem import SAME_INSTANT_S, WAIT
+from mrtask.planning.shared_kernel import AUTOMATON, NONE, copy_team
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-U8 = NDArray[np.uint64]
-
-WAIT = -1
-AUTOMATON, LOCATED, NEWS = 0, 1, 2
-"""Indices of `PaperBelief.state`."""
-SAME_INSTANT_S = 1e-9
+LOCATED, NEWS = 1, 2
+"""Indices of `PaperBelief.state`, after AUTOMATON."""
 
 
 CONTAINER = np.dtype(
@@ -49,12 +44,12 @@ ROBOT = np.dtype(
 class PaperModel(NamedTuple):
     """What does not change while planning."""
 
-    travel_s: F8  # [C, C]
-    prob: F8  # [C, O]
-    possible: I8  # [C] mask of the objects whose likelihood is above 0
-    transitions: I8  # [Z, O]
-    states: Records  # [Z] of `team_kernel.STATE`
-    sufficient: I8  # [Z, S] minimal sets of objects that complete the task, padded by NONE
+    travel_s: Floats  # [C, C]
+    prob: Floats  # [C, O]
+    possible: Ints  # [C] mask of the objects whose likelihood is above 0
+    transitions: Ints  # [Z, O]
+    states: Records  # [Z] of `shared_kernel.STATE`
+    sufficient: Ints  # [Z, S] minimal sets of objects that complete the task, padded by NONE
     search_time_s: float
     interact_time_s: float
     penalty_s: float  # added to the cost of a sample that can't finish
@@ -65,26 +60,19 @@ class PaperModel(NamedTuple):
 class PaperBelief(NamedTuple):
     """One sample's team belief."""
 
-    clock: F8  # [1] seconds since the root
-    state: I8  # [3] AUTOMATON state, mask of LOCATED objects (known to be somewhere), NEWS 1 if the last step had any
+    clock: Floats  # [1] seconds since the root
+    state: Ints  # [3] AUTOMATON state, mask of LOCATED objects (known to be somewhere), NEWS 1 if the last step had any
     containers: Records  # [C] of CONTAINER
-    nowhere: F8  # [O] probability that the object is in no container where that is unknown
+    nowhere: Floats  # [O] probability that the object is in no container where that is unknown
     robots: Records  # [R] of ROBOT
-    away: F8  # [R, C] travel times from the place that is no container
+    away: Floats  # [R, C] travel times from the place that is no container
 
 
 @inlined
 def copy_belief(model: PaperModel, source: PaperBelief, target: PaperBelief) -> None:
     """Overwrites target; rows of ``away`` change only with ``model.redirect``."""
-    target.clock[0] = source.clock[0]
-    for i in range(3):
-        target.state[i] = source.state[i]
-    for c in range(source.containers.size):
-        target.containers[c] = source.containers[c]
-    for o in range(source.nowhere.size):
-        target.nowhere[o] = source.nowhere[o]
+    copy_team(source, target)
     for r in range(source.robots.size):
-        target.robots[r] = source.robots[r]
         if model.redirect and source.robots[r].origin == NONE:
             for c in range(source.containers.size):
                 target.away[r, c] = source.away[r, c]
@@ -163,7 +151,7 @@ def presence_prob(model: PaperModel, belief: PaperBelief, c: int, obj: int) -> f
 
 
 @inlined
-def _look(model: PaperModel, belief: PaperBelief, rng: U8, c: int, obj: int) -> bool:
+def _look(model: PaperModel, belief: PaperBelief, rng: UInt64s, c: int, obj: int) -> bool:
     """A robot has searched a container for an object: whether it is there."""
     belief.containers[c].searched = 1
     if ((belief.containers[c].present | belief.containers[c].absent) >> obj) & 1 == 0:
@@ -178,7 +166,7 @@ def _look(model: PaperModel, belief: PaperBelief, rng: U8, c: int, obj: int) -> 
 
 
 @inlined
-def sample_outcome(model: PaperModel, belief: PaperBelief, rng: U8) -> int:
+def sample_outcome(model: PaperModel, belief: PaperBelief, rng: UInt64s) -> int:
     """Draws one outcome of Algorithm 1; returns 2 * robot + (1 if found), or NONE if nobody acts.
 
     Failure events are walked in the order of time and robot up to the first success event, which ends the walk.
@@ -230,15 +218,6 @@ def mark_undecided(model: PaperModel, belief: PaperBelief) -> None:
             belief.robots[r].obj = NONE
             belief.robots[r].undecided = 1
             belief.robots[r].under_way = 1
-
-
-@inlined
-def any_undecided(belief: PaperBelief) -> bool:
-    """Whether some robot is still to be assigned at this instant."""
-    for r in range(belief.robots.size):
-        if belief.robots[r].undecided:
-            return True
-    return False
 
 
 @inlined

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mrtask.arrays import Floats, Ints, UInt64s
 from mrtask.planning import team_kernel as team
 from mrtask.planning.compiled import inlined, random_unit
 from mrtask.planning.greedy_kernel import GreedyPolicy, rollout
-from mrtask.planning.paper.belief_kernel import AUTOMATON, F8, I8, LOCATED, U8, PaperBelief, PaperModel, distance_s
-from mrtask.planning.tree import NONE
+from mrtask.planning.paper.belief_kernel import LOCATED, PaperBelief, PaperModel, distance_s
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
 
 ZERO, NEAREST, REVEALED = 0, 1, 2
 NEGLIGIBLE_PROB = 1e-12
@@ -22,10 +23,10 @@ class Bound(NamedTuple):
     """Which bound a leaf has, with work space."""
 
     kind: int  # ZERO, NEAREST or REVEALED
-    nearest_s: F8  # [C] seconds from the nearest robot
-    order: I8  # [C] the containers, the nearest first
-    nowhere: F8  # [O]
-    rest_s: F8  # [O] seconds until each object is done with
+    nearest_s: Floats  # [C] seconds from the nearest robot
+    order: Ints  # [C] the containers, the nearest first
+    nowhere: Floats  # [O]
+    rest_s: Floats  # [O] seconds until each object is done with
 
 
 class Rollouts(NamedTuple):
@@ -120,7 +121,7 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
 
 
 @inlined
-def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> None:
+def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> None:
     """Sets what a rollout's world holds; what searched containers hold besides is drawn, as a search shows it all."""
     containers, objects = rollouts.model.prob.shape
     world = rollouts.world
@@ -177,10 +178,10 @@ def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
 
 
 @inlined
-def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> float:
+def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> float:
     """How long the greedy policy takes to finish the task in a world drawn from the belief."""
     rollouts.world.clock[0] = belief.clock[0]
-    rollouts.world.state[team.AUTOMATON] = belief.state[AUTOMATON]
+    rollouts.world.state[AUTOMATON] = belief.state[AUTOMATON]
     rollouts.world.state[team.HISTORY], rollouts.world.state[team.NEWS] = 0, 0
     _reveal_rest(belief, rollouts, rng)
     _place_robots(belief, rollouts)
@@ -190,7 +191,7 @@ def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: U8) -> float:
 
 
 @inlined
-def rest_s(model: PaperModel, belief: PaperBelief, bound: Bound, rollouts: Rollouts | None, rng: U8) -> float:
+def rest_s(model: PaperModel, belief: PaperBelief, bound: Bound, rollouts: Rollouts | None, rng: UInt64s) -> float:
     """The value of what is left to do, in seconds; without ``rollouts`` their kernel is not compiled either."""
     if rollouts is not None:
         return greedy_rest_s(belief, rollouts, rng)

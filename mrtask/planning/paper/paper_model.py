@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from mrtask.arrays import Floats, Ints
 from mrtask.planning.greedy import LATER_WEIGHT, policy
 from mrtask.planning.paper import belief_kernel as kernel
 from mrtask.planning.paper.leaf_kernel import Bound, Rollouts
-from mrtask.planning.problem import ANY_SAFE, FloatArray, PlanningProblem, needed
+from mrtask.planning.problem import ANY_SAFE, PlanningProblem, needed
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_model import blank_records, blank_world, masks, state_records, stuck_penalty_s, team_model
-from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import Automaton
 
 MAX_OBJECTS = 30
@@ -55,7 +56,7 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
     root.containers.absent[:] = masks(~there & problem.searched[:, None])
     root.containers.searched[:] = problem.searched
     root.nowhere[:] = np.prod(1.0 - model.prob, axis=0)
-    root.state[kernel.AUTOMATON] = problem.state
+    root.state[AUTOMATON] = problem.state
     root.state[kernel.LOCATED] = masks(problem.found()[None])[0]
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
@@ -105,7 +106,7 @@ def rollouts_of(problem: PlanningProblem) -> Rollouts:
     return Rollouts(team_model(problem), blank_world(problem), policy(problem, LATER_WEIGHT))
 
 
-def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> FloatArray:
+def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> Floats:
     """[C, O] the likelihoods in unsearched containers. An object with none above 0 is looked for all the same."""
     reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
     unsearched = ~problem.searched & reachable
@@ -116,7 +117,7 @@ def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> FloatA
     return np.ascontiguousarray(np.where(unsearched[:, None] & nowhere, MIN_PROB, prob))
 
 
-def sufficient_sets(automaton: Automaton) -> kernel.I8:
+def sufficient_sets(automaton: Automaton) -> Ints:
     """[Z, S] for each state the minimal sets of objects (bit masks) along which advancing steps accept; padded by -1.
 
     Raises:

@@ -16,14 +16,13 @@ import numpy as np
 from mrtask.planning.paper import leaf_kernel
 from mrtask.planning.paper import search_kernel as kernel
 from mrtask.planning.paper.action_kernel import LIMIT, ActionLimits, ActionRules, first_action
-from mrtask.planning.paper.belief_kernel import WAIT as WAIT_ACTION
 from mrtask.planning.paper.belief_kernel import PaperBelief, PaperModel
 from mrtask.planning.paper.paper_model import blank_belief, bound_of, paper_model, rollouts_of, root_belief
 from mrtask.planning.problem import WAIT, Assignment, Plan, PlanInfo, PlanningProblem, safe
+from mrtask.planning.shared_kernel import NONE
 from mrtask.planning.tree import (
     MAX_SPREAD,
     NODES,
-    NONE,
     SearchOptions,
     Tree,
     edges_of,
@@ -95,17 +94,14 @@ class PaperOptions(SearchOptions):
             raise ValueError(f"round_decimals must be >= 0 or null, not {self.round_decimals}")
 
 
-class PaperPouct:
-    """The paper's search planner; see the module."""
+class PaperPouct(PaperOptions):
+    """The paper's search planner, made from its options: ``PaperPouct(leaf="zero")``; see the module."""
 
     knows_contents = False
 
-    def __init__(self, options: PaperOptions) -> None:
-        self.options = options
-
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels: one sample."""
-        PaperPouct(replace(self.options, samples=1)).plan(problem, seed=0)
+        """Compiles the kernels by planning with one sample."""
+        replace(self, samples=1).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
         """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
@@ -117,9 +113,9 @@ class PaperPouct:
         free = [index for index, robot in enumerate(problem.robots) if robot.free]
         if problem.automaton.accepting[problem.state] or not free:
             return Plan({index: Assignment(WAIT) for index in free})
-        search = PaperSearch(problem, self.options, seed)
-        choose = _Choice(problem, search, self.options.choice)
-        done = run_search(self.options, search.run, choose.is_settled)
+        search = PaperSearch(problem, self, seed)
+        choose = _Choice(problem, search, self.choice)
+        done = run_search(self, search.run, choose.is_settled)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
@@ -195,7 +191,7 @@ class _Choice:
     def edge(self, node: int, allow_wait: bool = True) -> int:
         """The edge taken, NONE if there is none; ``allow_wait``: waiting is one."""
         tree = self._tree
-        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT_ACTION]
+        edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT]
         best = min(edges, key=self._rank, default=NONE)
         if best == NONE or not self._hurts(best):
             return best
@@ -207,7 +203,7 @@ class _Choice:
 
     def assignment(self, action: int) -> Assignment:
         """What an action of the tree means."""
-        return Assignment(WAIT, 0) if action == WAIT_ACTION else Assignment(*divmod(action, self._objects))
+        return Assignment(WAIT, 0) if action == WAIT else Assignment(*divmod(action, self._objects))
 
     def is_settled(self, samples_left: int) -> bool:
         """Whether the choice stays as it is, wherever the samples left go: by visits only, if no action can hurt."""
@@ -219,7 +215,7 @@ class _Choice:
 
     def _hurts(self, edge: int) -> bool:
         action = int(self._tree.edges[edge].action)
-        return action != WAIT_ACTION and bool(self._can_hurt[action % self._objects])
+        return action != WAIT and bool(self._can_hurt[action % self._objects])
 
 
 def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice) -> dict[int, Assignment]:
@@ -242,6 +238,6 @@ def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice
         edge = choose.edge(0, allow_wait=False)
         robots = [(int(tree.nodes[0].robot), int(tree.edges[edge].action))] if edge != NONE else []
         robots += [(robot, first_action(search.model, search.root, robot)) for robot in deciders]
-        robot, action = next((pair for pair in robots if pair[1] != NONE), (deciders[0], WAIT_ACTION))
+        robot, action = next((pair for pair in robots if pair[1] != NONE), (deciders[0], WAIT))
         assignments[robot] = choose.assignment(action)
     return assignments

@@ -2,27 +2,25 @@
 
 from typing import NamedTuple
 
+from mrtask.arrays import UInt64s
 from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.paper.action_kernel import ActionLimits, ActionRules, next_action
 from mrtask.planning.paper.belief_kernel import (
-    AUTOMATON,
-    U8,
-    WAIT,
     PaperBelief,
     PaperModel,
     act,
-    any_undecided,
     copy_belief,
     mark_undecided,
     may_wait,
     sample_outcome,
 )
 from mrtask.planning.paper.leaf_kernel import Bound, Rollouts, rest_s
+from mrtask.planning.problem import WAIT
 from mrtask.planning.reference import by_reference
+from mrtask.planning.shared_kernel import AUTOMATON, NONE, any_undecided
 from mrtask.planning.tree import (
     EDGES,
     NODES,
-    NONE,
     Tree,
     add_edge,
     add_node,
@@ -98,7 +96,7 @@ def _sample(
     exploration: Exploration,
     bound: Bound,
     rollouts: Rollouts | None,
-    rng: U8,
+    rng: UInt64s,
 ) -> None:
     """One sample from the root; the tree grows by a node, unless it is full."""
     copy_belief(model, root, belief)
@@ -145,7 +143,7 @@ def run_samples(
     exploration: Exploration,
     bound: Bound,
     rollouts: Rollouts | None,
-    rng: U8,
+    rng: UInt64s,
     samples: int,
 ) -> None:
     """Runs samples from node 0, which must exist; ``belief`` is overwritten."""

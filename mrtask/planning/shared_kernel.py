@@ -1,0 +1,74 @@
+"""What the compiled searches of `pouct` and of `pouct_paper` share: constants, a task's states, a sample's common part.
+
+Legend: C containers, R robots. Sets of objects are bit masks.
+"""
+
+from typing import Protocol
+
+import numpy as np
+
+from mrtask.arrays import Floats, Ints
+from mrtask.planning.compiled import Records, inlined
+
+NONE = -1
+"""No robot, container, object, node or edge."""
+AUTOMATON = 0
+"""The index in a sample's ``state`` of the task's automaton state."""
+
+STATE = np.dtype(
+    [
+        ("advancing", np.int64),  # mask
+        ("safe", np.int64),  # mask: interactions taken without a decision
+        ("needed", np.int64),  # mask: advancing now or later
+        ("steps", np.int64),  # interactions to acceptance
+        ("accepting", np.int64),
+    ],
+    align=True,
+)
+
+
+class Sample(Protocol):
+    """What `team_kernel.World` and the paper's `PaperBelief` have in common."""
+
+    @property
+    def clock(self) -> Floats:
+        """[1] seconds since the root."""
+
+    @property
+    def state(self) -> Ints:
+        """The automaton's state, at AUTOMATON, and further numbers."""
+
+    @property
+    def containers(self) -> Records:
+        """[C] of the search's own CONTAINER."""
+
+    @property
+    def nowhere(self) -> Floats:
+        """[O] the probability that an object is in no container."""
+
+    @property
+    def robots(self) -> Records:
+        """[R] of the search's own ROBOT, which has a field ``undecided``."""
+
+
+@inlined
+def copy_team(source: Sample, target: Sample) -> None:
+    """Overwrites target."""
+    target.clock[0] = source.clock[0]
+    for i in range(source.state.size):
+        target.state[i] = source.state[i]
+    for c in range(source.containers.size):
+        target.containers[c] = source.containers[c]
+    for o in range(source.nowhere.size):
+        target.nowhere[o] = source.nowhere[o]
+    for r in range(source.robots.size):
+        target.robots[r] = source.robots[r]
+
+
+@inlined
+def any_undecided(sample: Sample) -> bool:
+    """Whether some robot is still to be assigned at this instant."""
+    for r in range(sample.robots.size):
+        if sample.robots[r].undecided:
+            return True
+    return False

@@ -1,0 +1,50 @@
+"""Planners by name and by class."""
+
+import pytest
+
+from mrtask.planning.planners import PLANNERS, make_planner, planner_name
+from mrtask.planning.problem import Plan, PlanOnly
+
+
+class Own:
+    """A planner of a user's own, with nothing but `plan`."""
+
+    def __init__(self, pace=1.0):
+        self.pace = pace
+
+    def plan(self, problem, seed):
+        return Plan({})
+
+
+def test_every_planner_of_ours_is_named_by_its_class_whatever_its_options():
+    assert {name: planner_name(make_planner(name)) for name in PLANNERS} == {name: name for name in PLANNERS}
+    assert planner_name(PLANNERS["pouct"].planner(samples=7)) == "pouct"
+    assert planner_name(PLANNERS["known"].planner(samples=7)) == "known"
+
+
+def test_a_planner_of_ones_own_has_the_name_by_which_it_can_be_made():
+    name = planner_name(PlanOnly(Own().plan))
+    assert name == f"{__name__}.Own"
+    assert planner_name(make_planner(name, {"pace": 2.0})) == name == planner_name(Own())
+
+
+def test_a_derived_planner_is_not_ours():
+    class Hasty(PLANNERS["pouct"].planner):
+        """Ours with another name."""
+
+    assert planner_name(Hasty(samples=1)) == f"{__name__}.{Hasty.__qualname__}"
+
+
+@pytest.mark.parametrize("name", [*PLANNERS, f"{__name__}.Own"])
+def test_an_unknown_option_is_refused_with_all_that_the_planner_takes(name):
+    takes = {
+        "nonlearned_myopic": r"reassign: str = 'all', return_to_known: str = 'at_once'",
+        "learned_myopic": r"reassign: str = 'all', return_to_known: str = 'at_once'",
+        "greedy": r"later_weight: float = 0\.3, reassign: str = 'all'",
+        "pouct_paper": r"samples: int = 100000, .*leaf: str = 'revealed', .*reassign: str = 'free'",
+        "pouct": r"samples: int = 100000, .*later_weight: float = 0\.3, reassign: str = 'all'",
+        "known": r"samples: int = 100000, .*later_weight: float = 0\.3, reassign: str = 'all'",
+        f"{__name__}.Own": r"pace=1\.0",
+    }[name]
+    with pytest.raises(ValueError, match=rf"planner '{name}' refuses its options: .*'smaples'; it takes \({takes}\)"):
+        make_planner(name, {"smaples": 5})
