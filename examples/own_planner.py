@@ -25,7 +25,7 @@ from mrtask import (
 
 
 class Cautious:
-    """The nearest container whose chance is at least ``doubt_prob``; the likeliest where there is none."""
+    """The nearest container whose chance is at least ``doubt_prob``; the likeliest if none has."""
 
     def __init__(self, doubt_prob: float = 0.05) -> None:
         self.doubt_prob = doubt_prob

@@ -1,8 +1,8 @@
-"""One trial's comparison of a planner with the bound, both under the trial's belief.
+"""Compare a planner with the lower bound in one trial, both under the trial's belief.
 
-A bound holds for the expected cost over the worlds that the belief thinks possible. So the planner is not run on the
-home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief, the same that the
-bound is evaluated on.
+The bound holds for the expected cost over the worlds that are possible under the belief. So the planner does not run on
+the home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief. The bound is
+evaluated on the same worlds.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ def assess(
     worlds: int,
     name: str | None = None,
 ) -> dict[str, Any]:
-    """One trial's row: means over ``worlds`` worlds of the planner's cost, the bound and the clairvoyant bound, in s.
+    """Return one trial's row: means over ``worlds`` worlds of the planner's cost and both bounds, in s.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
@@ -84,7 +84,7 @@ def assess(
 
 
 def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMade]:
-    """The first robot's searches, with the task's state at each; for a team of one."""
+    """Return the first robot's searches, with the task's state at each; for a team of one."""
     number = {container.id: index for index, container in enumerate(home.containers)}
     state, searches = automaton.initial, []
     for leg in trace.robots[0]:
@@ -96,7 +96,7 @@ def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMa
 
 
 def home_with(home: Home, objects: tuple[str, ...], world: Bools) -> Home:
-    """The home with the task's objects where ``world`` [C, O] has them and nowhere else."""
+    """Return the home with the task's objects where ``world`` [C, O] has them and nowhere else."""
     containers = []
     for container, held in zip(home.containers, world, strict=True):
         others = [name for name in container.objects if name not in objects]

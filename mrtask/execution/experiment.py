@@ -1,7 +1,7 @@
-"""A whole comparison in one process: planners on the same trials, and their episodes as a table.
+"""Compare planners on the same trials, in one process, with their episodes as a table.
 
-For programs and notebooks that use mrtask as a library. Trials, seeds and columns are those of the pipeline, which adds
-many workers, continuation and the report.
+This is for programs and notebooks that use mrtask as a library. Trials, seeds and columns are the same as in the
+pipeline, which adds many workers, continuation and the report.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,7 +36,7 @@ class Progress:
 
 
 Named = Sequence[str] | Mapping[str, Plans]
-"""Planners of the table by name, or any planners under names of one's own."""
+"""Names of planners in `PLANNERS`, or any planners under names that you choose."""
 
 
 def run_experiment(
@@ -51,16 +51,16 @@ def run_experiment(
     cache_dir: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> pd.DataFrame:
-    """One row per (trial, planner), with the ``trace`` of each episode as a `Trace`.
+    """Run every planner on every trial; return one row per (trial, planner), the ``trace`` column as `Trace`.
 
     Args:
-        homes: the homes to evaluate on; trials are made for every size class among them. None of them should be known
-            to the likelihood from training.
-        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name of your
-            own to a planner. A planner's random seeds depend on that name.
-        likelihood: where objects are thought to be.
+        homes: the homes to evaluate on; trials are made for every size class among them. The likelihood should not have
+            been trained on any of them.
+        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name that
+            you choose to a planner. A planner's random seeds depend on its name.
+        likelihood: where objects may be.
         trials_per_cell: trials for each size class and team size.
-        cache_dir: a folder that keeps maps from one call to the next.
+        cache_dir: a folder in which maps are kept between calls.
 
     Raises:
         ValueError: an unknown planner, a plan that cannot be carried out, or no home with enough objects.
@@ -87,7 +87,7 @@ def run_experiment(
 
 
 def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, Any]:
-    """An episode as a row of a table."""
+    """Return an episode as a row of a table."""
     return {
         "trial_id": trial.trial_id,
         "home_id": home.id,

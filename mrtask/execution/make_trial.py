@@ -1,4 +1,4 @@
-"""Make a trial for a task of one's own, in a home at hand."""
+"""Make a trial of a task that you choose, in one home."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mrtask.tasks.words import ReadTask, read_task
 START_REACH_M = 0.5
 """A start off the free floor is moved at most this far."""
 OWN_TASK = "formula"
-"""The ``template`` of a trial whose task is none of the paper's."""
+"""The ``template`` of a trial whose task does not come from a template."""
 
 
 def make_trial(
@@ -68,7 +68,7 @@ def free_cell_near(home_map: HomeMap, point: Point, reach_m: float = START_REACH
     """Return the free cell nearest to a place in metres.
 
     Raises:
-        InputError: there is none within ``reach_m``.
+        InputError: no free cell is within ``reach_m``.
     """
     cells = np.argwhere(home_map.free)
     row, col = ((point[axis] - home_map.origin_m[axis]) / home_map.resolution_m - 0.5 for axis in (1, 0))

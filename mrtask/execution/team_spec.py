@@ -1,4 +1,4 @@
-"""What the robots of a team are like."""
+"""The robots of a team: speed, times, perception, number."""
 
 from dataclasses import dataclass, field
 
@@ -24,7 +24,7 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class Team:
-    """So many robots, all alike."""
+    """A number of robots, all alike."""
 
     robots: int
     spec: RobotSpec = field(default_factory=RobotSpec)

@@ -1,8 +1,8 @@
-"""What an event means now, whatever order events come in.
+"""Handle events, in whatever order they come.
 
-A search reported before the arrival implies it, a late or repeated report changes nothing, what was seen is kept
-whoever saw it, and of two sights of one object the later counts. Each function takes in one kind of event, says why it
-is `Refused`, or gives a note to the sender.
+A search reported before the arrival implies the arrival, a late or repeated report changes nothing, what was seen is
+kept whoever saw it, and of two sightings of one object the later counts. Each function handles one kind of event: it
+raises `Refused` with the reason, or returns a note to the sender, or None.
 """
 
 import re
@@ -103,7 +103,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
 
 
 def _detections(live: LiveState, event: m.SearchEnded) -> NDArray[np.float64]:
-    """[O] the confidence with which each task object was detected; a place to which something is delivered is there."""
+    """Return [O] the confidence in each detected task object; a place of delivery counts as detected."""
     seen = np.zeros(len(live.setup.task.propositions))
     for one in event.objects:
         name, confidence = (one, 1.0) if isinstance(one, str) else (one.object, one.confidence)
@@ -212,7 +212,7 @@ def _barrier(live: LiveState, event: m.RouteBlocked | m.RouteCleared) -> tuple[s
 
 
 def _use_barriers(live: LiveState) -> None:
-    """Ways by the map without what is blocked; robots under way go on by it from where they are."""
+    """Drop what is blocked from the map; robots under way go on from where they are."""
     home_map = barred_map(live.setup.home_map, list(live.barriers.values()))
     starts = {}
     for number in live.present:

@@ -1,7 +1,7 @@
 """A team of real robots: events in, orders out.
 
-`LiveTeam` takes in what its robots report (`mrtask.live.events`), lets the planner decide where a robot became free or
-something unexpected happened, and says what changed (`mrtask.live.orders`).
+`LiveTeam` handles what its robots report (`mrtask.live.events`), lets the planner decide when a robot became free or
+something unexpected happened, and gives the orders that changed (`mrtask.live.orders`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,18 +20,18 @@ from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT, Assignment
 
 MAX_AHEAD_S = 86_400.0
-"""An event that lies further ahead of all before it has a wrong clock."""
+"""An event this far ahead of all earlier ones has a wrong clock."""
 IDS_KEPT = 100_000
 
 
 class LiveTeam(LiveState):
-    """A `LiveState` that takes in events and decides.
+    """A `LiveState` that handles events and decides.
 
     Args:
         robots: name -> where it is, in metres.
 
     Raises:
-        InputError: as `LiveState`, or the planner needs to know the contents.
+        InputError: where `LiveState` raises it, or a planner that needs to know the contents.
     """
 
     def __init__(self, setup: LiveSetup, robots: Mapping[str, Point]) -> None:
@@ -41,15 +41,15 @@ class LiveTeam(LiveState):
             raise InputError(f"planner {setup.planner!r} knows all contents, which nobody does here; give another")
 
     def begin(self) -> list[m.Outgoing]:
-        """The first decision, or after a restart the next."""
+        """Make the first decision, or the next one after a restart."""
         return self._go_on(decide=True)
 
     def handle(self, events: Sequence[Any], *, more: bool = False) -> list[m.Outgoing]:
-        """Takes in events of one instant.
+        """Handle the events of one instant.
 
         Args:
-            events: of the models in `mrtask.live.messages.Event`.
-            more: another batch of this instant follows, so nobody is sent anywhere yet.
+            events: models of `mrtask.live.messages.Event`.
+            more: whether another batch of this instant follows, so that no robot is sent anywhere yet.
 
         Returns:
             One `Answer` for each event, then the orders that changed, and the task's state if anything changed.
@@ -60,7 +60,7 @@ class LiveTeam(LiveState):
         return [*answers, *self._go_on(decide=not more)]
 
     def present_orders(self) -> list[m.Outgoing]:
-        """The orders in force, as if they were given now."""
+        """Return the orders in force, as if they were given now."""
         return [order_of(self, number) for number in self.present]
 
     def _answer(self, event: Any) -> m.Answer:

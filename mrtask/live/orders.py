@@ -1,4 +1,4 @@
-"""What a live team says: its orders, how far the task is, and what it is about."""
+"""What a live team says: its orders, the task's progress, and the setup."""
 
 from typing import Any
 
@@ -18,11 +18,11 @@ _ACTIONS = {
     ActKind.SETTLING: _WAIT,
     ActKind.LOST: "lost",
 }
-"""What an order says of an act; a robot that is lost gets none."""
+"""The action of the order for each kind of act; a lost robot gets no order."""
 
 
 def order_key(live: LiveState, robot: Robot) -> tuple[Any, ...]:
-    """What a robot's order is made from (action, container, object, map); another key makes another order."""
+    """Return what a robot's order is made from (action, container, object, map); a new key makes a new order."""
     action = _ACTIONS[robot.act.kind]
     version = live.map_version if robot.moving else 0
     target = robot.assignment.container if robot.moving else robot.place if action != _WAIT else -1
@@ -30,7 +30,7 @@ def order_key(live: LiveState, robot: Robot) -> tuple[Any, ...]:
 
 
 def order_of(live: LiveState, number: int) -> m.Order:
-    """A robot's present order, with its way from where it is taken to be."""
+    """Return a robot's present order, with the route from where the robot should be by now."""
     team, robot = live.team, live.team.robots[number]
     action, target, obj, _ = order_key(live, robot)
     route, length_m = robot.way_left(team.time_s)
@@ -46,14 +46,14 @@ def order_of(live: LiveState, number: int) -> m.Order:
 
 
 def doing(live: LiveState, robot: Robot) -> str:
-    """A robot's present order in words."""
+    """Return a robot's present order in words."""
     action, target, obj, _ = order_key(live, robot)
     at = f" {live.team.containers[target]}" if target >= 0 else ""
     return f"its order is {action}{at}" + (f" {live.setup.task.propositions[obj]}" if obj >= 0 else "")
 
 
 def task_state(live: LiveState) -> m.TaskState:
-    """How far the task is."""
+    """Return the task's progress."""
     team = live.team
     word = tuple(
         m.Letter(time_s=letter.t_s, robot=live.names[letter.robot], object=letter.object, container=letter.container)
@@ -67,7 +67,7 @@ def task_state(live: LiveState) -> m.TaskState:
 
 
 def welcome(live: LiveState) -> m.Welcome:
-    """What the live team is about."""
+    """Return the greeting: task, containers and robots."""
     task = live.setup.task
     return m.Welcome(
         task=live.setup.text,

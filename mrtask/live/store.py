@@ -1,7 +1,7 @@
-"""A live team on paper: its state as one versioned JSON text, from which another process goes on where it stopped.
+"""Save a live team's state as one versioned JSON text, and restore it in another process.
 
-What does not change (home, task, planner) is not in it but is named by a fingerprint, so that a state is not restored
-into another task. Routes are planned again: the same map and the same start give the same way.
+What does not change (home, task, planner) is not in the text; a fingerprint of it is, so that no state is restored into
+another task. Routes are planned again: the same map and the same start give the same route.
 """
 
 import hashlib
@@ -77,7 +77,7 @@ class _State(_Part):
 
 
 def fingerprint(setup: LiveSetup) -> str:
-    """What a saved state belongs to: the layout, the grid and the task."""
+    """Return the fingerprint of what a saved state belongs to: the layout, the grid and the task."""
     home_map = setup.home_map
     content = [
         setup.home.layout_id, home_map.resolution_m, home_map.free.shape, int(home_map.free.sum()),
@@ -87,7 +87,7 @@ def fingerprint(setup: LiveSetup) -> str:
 
 
 def save(live: LiveTeam) -> str:
-    """The state as JSON; take it between two calls of `LiveTeam.handle`."""
+    """Return the state as JSON; call this between two calls of `LiveTeam.handle`."""
     team, belief = live.team, live.team.belief
     robots = [
         _Robot(
@@ -137,10 +137,10 @@ def save(live: LiveTeam) -> str:
 
 
 def restore(setup: LiveSetup, text: str) -> LiveTeam:
-    """The live team of a saved state.
+    """Return the live team of a saved state.
 
     Raises:
-        StateError: the text is damaged, of another version, or of another home or task.
+        StateError: a damaged text, or one of another version, home or task.
     """
     try:
         raw: Any = json.loads(text)

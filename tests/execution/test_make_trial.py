@@ -46,7 +46,7 @@ def test_a_failed_episode_stepped_by_hand_says_why(two_room_home, two_room_map):
     result = episode.result()
     assert (result.planner, result.status, result.cost_s) == ("by_hand", "failed", None)
     assert result.error == episode.error == "found in no container that can be reached: Unicorn"
-    with pytest.raises(ValueError, match="the episode is done .*Unicorn.*; make a new Episode to go on"):
+    with pytest.raises(ValueError, match=r"the episode is done .*Unicorn.*; make a new Episode to go on"):
         episode.step(greedy.plan(episode.problem, 0))
 
 
