@@ -20,7 +20,7 @@ from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What a model is trained on: triples with ``positives`` and ``count``, and options; ``tell`` announces long steps."""
+    """What a model is trained on: triples with ``positives`` and ``count``; ``tell`` announces each long step."""
 
     train: pd.DataFrame
     validation: pd.DataFrame
