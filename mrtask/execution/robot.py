@@ -149,17 +149,19 @@ class Robot:
         if self.route is not None:
             self.position, self.route = Position.at(self.route.cells[-1]), None
         self.place, self.passed = self.assignment.container, ()
-        self.act = Act(ActKind.SEARCH, now_s + self.spec.search_time_s) if search else Act(ActKind.SETTLING, now_s)
+        self.act = Act(ActKind.SETTLING, now_s)
+        if search:
+            self.begin(ActKind.SEARCH, now_s)
 
     def end_search(self, now_s: float) -> None:
         """The search is over; what the robot does next is decided within the instant."""
         self._close_leg(now_s)
         self.act = Act(ActKind.SETTLING, now_s)
 
-    def begin_interaction(self, obj: int, now_s: float) -> None:
-        """Interact with a task object at the place where the robot stands."""
+    def begin(self, kind: ActKind, now_s: float, obj: int = -1) -> None:
+        """Begin an act at the place where the robot stands, perhaps with a task object."""
         self._close_leg(now_s)
-        self.act = Act(ActKind.INTERACT, now_s + self.spec.interact_time_s, obj)
+        self.act = Act(kind, now_s + self.spec.duration_s(kind), obj)
 
     def end_interaction(self, now_s: float) -> None:
         """The interaction is over; a robot that was sent for it is free, others may begin another."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.perception import Perception
 
 
@@ -20,6 +21,10 @@ class RobotSpec:
         for name in ("search_time_s", "interact_time_s"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must be >= 0, not {getattr(self, name)}")
+
+    def duration_s(self, kind: ActKind) -> float:
+        """Return how long an act of this kind takes, for kinds whose duration depends on the robot alone."""
+        return {ActKind.SEARCH: self.search_time_s, ActKind.INTERACT: self.interact_time_s}[kind]
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,7 @@ class TeamState:
         if not len(choices):
             return False
         after = self.automaton.steps_to_accept[self.automaton.transitions[self.state, choices]]
-        robot.begin_interaction(int(choices[int(np.argmin(after))]), self.time_s)
+        robot.begin(ActKind.INTERACT, self.time_s, int(choices[int(np.argmin(after))]))
         return True
 
     def _allowed(self, robot: Robot) -> NDArray[np.bool_]:
