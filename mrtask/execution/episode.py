@@ -90,7 +90,7 @@ class Episode:
             home_map,
             build_automaton(trial.formula, trial.objects),
             _matrix(likelihood, home, trial.objects),
-            np.array([[name in container.objects for name in trial.objects] for container in home.containers]),
+            np.array([[obj in container.objects for obj in trial.objects] for container in home.containers]),
             team=trial.team,
             start_cell=trial.start_cell,
             known=known,

@@ -28,9 +28,9 @@ def render_card(
     costs = paired_costs(together)
     profiles = _profiles(costs)
     names = planners_in_order(costs.columns)
-    given = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
+    chosen = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     lines = [
-        f"{planner} ({given}) on {suite}: {len(episodes)} trials",
+        f"{planner} ({chosen}) on {suite}: {len(episodes)} trials",
         "",
         f"{'':22} {'finished':>8} {'mean s':>8}  {'% below nonlearned':>20}  {'% below learned':>20}",
     ]
