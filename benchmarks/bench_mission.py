@@ -33,6 +33,7 @@ from mrtask.likelihood.table import LikelihoodTable, build_table
 from mrtask.likelihood.training import fit
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import make_planner
 
 ROBOTS = (1, 2, 3)
 UNIFORM, TRUTH = "uniform", "known contents"
@@ -77,7 +78,7 @@ def run_trial(task: tuple[Trial, Home, Beliefs, int]) -> dict[str, object]:
     for name in (UNIFORM, *beliefs.tables, TRUTH):
         planner = "known" if name == TRUTH else "pouct"
         likelihood = beliefs.likelihood(name, home, trial.objects)
-        cost_s = run_episode(trial, home, home_map, likelihood, planner, {"samples": samples}).cost_s
+        cost_s = run_episode(trial, home, home_map, likelihood, make_planner(planner, {"samples": samples})).cost_s
         row[name] = float("nan") if cost_s is None else cost_s
     return row
 

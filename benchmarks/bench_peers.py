@@ -220,11 +220,11 @@ def main() -> None:
         "learned_myopic": make_planner("learned_myopic"),
     }
     for name in ("pouct", "greedy"):
-        warm_up(*_arguments(chosen[0]), name)
+        warm_up(*_arguments(chosen[0]), planners[name])
     rows = []
     for trial in chosen:
         for name, planner in planners.items():
-            result = run_episode(*_arguments(trial), name, planner=planner)
+            result = run_episode(*_arguments(trial), planner, name)
             rows.append({"planner": name, "trial": trial.trial_id, **vars(result)})
             print(f"{trial.trial_id} {name}: {result.status} {result.cost_s}", flush=True)
     frame = pd.DataFrame(rows)

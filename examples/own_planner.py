@@ -11,11 +11,21 @@ the task, or may hold one with at least ``doubt_prob``.
 
 import numpy as np
 
-from mrtask import WAIT, Assignment, Plan, PlanningProblem, fit_on_homes, generate_homes, make_planner, run_experiment
+from mrtask import (
+    WAIT,
+    Assignment,
+    Greedy,
+    NonlearnedMyopic,
+    Plan,
+    PlanningProblem,
+    fit_on_homes,
+    generate_homes,
+    run_experiment,
+)
 
 
 class Cautious:
-    """The nearest container whose chance is at least ``doubt_prob``; the likeliest where there is none."""
+    """The nearest container whose chance is at least ``doubt_prob``; the likeliest if none has."""
 
     def __init__(self, doubt_prob: float = 0.05) -> None:
         self.doubt_prob = doubt_prob
@@ -48,10 +58,10 @@ if __name__ == "__main__":
     episodes = run_experiment(
         list(generate_homes(count=6, seed=1000)),
         {
-            "nonlearned_myopic": make_planner("nonlearned_myopic"),
+            "nonlearned_myopic": NonlearnedMyopic(),
             "cautious, 2 %": Cautious(doubt_prob=0.02),
             "cautious, 20 %": Cautious(doubt_prob=0.20),
-            "greedy": make_planner("greedy"),
+            "greedy": Greedy(),
         },
         fit_on_homes(generate_homes(count=12)),
         robots=[1, 2],

@@ -1,6 +1,6 @@
-"""mrtask in 20 lines: homes, where things may be, planners, and what became of it. Needs `pip install mrtask` only."""
+"""mrtask in 20 lines: homes, where things may be, planners, and their costs. Needs `pip install mrtask` only."""
 
-from mrtask import fit_on_homes, generate_homes, make_planner, run_experiment
+from mrtask import Greedy, NonlearnedMyopic, Pouct, fit_on_homes, generate_homes, run_experiment
 
 if __name__ == "__main__":
     homes = list(generate_homes(count=6, seed=1000))
@@ -8,11 +8,7 @@ if __name__ == "__main__":
     likelihood = fit_on_homes(generate_homes(count=12, seed=0))  # other homes: nobody may know where things are
     episodes = run_experiment(
         homes,
-        {
-            "nonlearned_myopic": make_planner("nonlearned_myopic"),
-            "greedy": make_planner("greedy"),
-            "pouct": make_planner("pouct", {"samples": 200}),
-        },
+        {"nonlearned_myopic": NonlearnedMyopic(), "greedy": Greedy(), "pouct": Pouct(samples=200)},
         likelihood,
         robots=[1, 2],
         trials_per_cell=2,

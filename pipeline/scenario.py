@@ -26,7 +26,7 @@ from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
 from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
-from mrtask.planning.planners import Role, planner_role, planners_in_order
+from mrtask.planning.planners import Role, make_planner, planner_role, planners_in_order
 from mrtask.tasks.automaton import build_automaton
 from pipeline.app.given import GivenTrial, scenario_files
 from pipeline.app.tool import load_options, main, overrides
@@ -89,9 +89,8 @@ def run(arguments: Sequence[str]) -> None:
 def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, observe: Recorder | None) -> EpisodeResult:
     """The episode of the seed of this number."""
     trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
-    return run_episode(
-        trial, scenario.home, scenario.home_map, scenario.likelihood, name, options.options_of(name), observe=observe
-    )
+    planner = make_planner(name, options.options_of(name))
+    return run_episode(trial, scenario.home, scenario.home_map, scenario.likelihood, planner, name, observe=observe)
 
 
 def likelihoods(scenario: Scenario) -> list[str]:

@@ -24,6 +24,13 @@ def example(name: str) -> ModuleType:
     return module
 
 
+def test_first_episode(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "first_episode.py"), run_name="__main__")
+    first, *letters = capsys.readouterr().out.splitlines()
+    assert first.startswith("accepted after ")
+    assert sorted(line.split()[5] for line in letters) == ["Apple", "Cup"]
+
+
 def test_quickstart(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "quickstart.py"), run_name="__main__")
     said = capsys.readouterr().out

@@ -1,11 +1,10 @@
-"""One trial's comparison of a planner with the bound, both under the trial's belief.
+"""Compare a planner with the lower bound in one trial, both under the trial's belief.
 
-A bound holds for the expected cost over the worlds that the belief thinks possible. So the planner is not run on the
-home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief, the same that the
-bound is evaluated on.
+The bound holds for the expected cost over the worlds that are possible under the belief. So the planner does not run on
+the home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief. The bound is
+evaluated on the same worlds.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +13,14 @@ import numpy as np
 from mrtask.arrays import Bools, Floats
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
-from mrtask.execution.episode import run_episode
+from mrtask.execution.acts import ActKind
+from mrtask.execution.episode import Plans, as_planner, run_episode
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import planner_name
 from mrtask.planning.solver_belief import belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 
@@ -29,17 +30,18 @@ def assess(
     home: Home,
     home_map: HomeMap,
     likelihood: Floats,
-    planner: str,
-    options: Mapping[str, object],
+    planner: Plans,
     worlds: int,
+    name: str | None = None,
 ) -> dict[str, Any]:
-    """One trial's row: means over ``worlds`` worlds of the planner's cost, the bound and the clairvoyant bound, in s.
+    """Return one trial's row: means over ``worlds`` worlds of the planner's cost and both bounds, in s.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
+        name: the planner's name; None: its name among ours, or its import path.
 
     Raises:
-        ValueError: a planner that is unknown or refuses its options, or a belief that has no world.
+        ValueError: a belief that has no world.
     """
     automaton = build_automaton(trial.formula, trial.objects)
     nothing = np.zeros(likelihood.shape, dtype=bool)
@@ -56,7 +58,7 @@ def assess(
             home_map,
             likelihood,
             planner,
-            options,
+            name,
         )
         runs.append(searches_of(result.trace, home, automaton))
         if result.cost_s is not None:
@@ -70,7 +72,7 @@ def assess(
         "robots": trial.team.robots,
         "template": trial.template,
         "formula": trial.formula,
-        "planner": planner,
+        "planner": name or planner_name(as_planner(planner)),
         "worlds": worlds,
         "failed": int((~done).sum()),
         "cost_s": _mean(costs_s[done]),
@@ -82,19 +84,19 @@ def assess(
 
 
 def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMade]:
-    """The first robot's searches, with the task's state at each; for a team of one."""
+    """Return the first robot's searches, with the task's state at each; for a team of one."""
     number = {container.id: index for index, container in enumerate(home.containers)}
     state, searches = automaton.initial, []
     for leg in trace.robots[0]:
-        if leg.kind == "search" and leg.container is not None:
+        if leg.kind == ActKind.SEARCH and leg.container is not None:
             searches.append(SearchMade(number[leg.container], state))
-        elif leg.kind == "interact" and leg.object is not None:
+        elif leg.kind == ActKind.INTERACT and leg.object is not None:
             state = int(automaton.transitions[state, automaton.propositions.index(leg.object)])
     return searches
 
 
 def home_with(home: Home, objects: tuple[str, ...], world: Bools) -> Home:
-    """The home with the task's objects where ``world`` [C, O] has them and nowhere else."""
+    """Return the home with the task's objects where ``world`` [C, O] has them and nowhere else."""
     containers = []
     for container, held in zip(home.containers, world, strict=True):
         others = [name for name in container.objects if name not in objects]

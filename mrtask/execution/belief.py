@@ -1,9 +1,9 @@
-"""What a team thinks is where: the likelihoods, corrected by what its searches and its interactions showed.
+"""Where a team believes objects to be: the likelihoods, corrected by what its searches and interactions showed.
 
-Planners are told what is likely in containers that are open to search, and 0 or 1 in those that were searched: an
-object counts as found where it was detected and is believed to be. Where robots see all there is, that is the truth.
-Where they err, a search may have missed an object; then a container is opened again, with the posterior probabilities,
-as soon as a needed object is at least as likely there as in every container that is open.
+Planners are told the likelihoods in containers that are open to search, and 0 or 1 in searched ones: an object counts
+as found where it was detected and is believed to be. With perfect perception, that is the truth. Robots that err may
+have missed an object in a search; then a searched container is opened again, with the posterior probabilities, as soon
+as a needed object is at least as likely there as in every open container.
 
 Legend for array shapes: C containers, O task objects.
 """
@@ -16,25 +16,26 @@ from numpy.typing import NDArray
 from mrtask.execution.perception import Sensor
 
 Seen = NDArray[np.float64] | NDArray[np.bool_]
-"""[O] what a search showed, as of `Sensor.posterior`."""
+"""[O] what a search showed, as `Sensor.posterior` takes it."""
 DETECTED = 0.5
 """A detection of at least this confidence counts as one."""
 BELIEVED_PROB = 0.5
-"""From this probability on an object that was detected counts as found: a robot may go and interact with it."""
+"""An object that was detected counts as found from this probability on: a robot may go and interact with it."""
 GIVEN_UP_ODDS = 1e-6
-"""Where searches have lowered the odds of an object to this share of what they were, it is taken not to be there."""
+"""An object counts as absent once searches have lowered its odds to this share of its prior odds."""
 MAX_SEARCHES = 100
-"""Nor is a container searched for it more often."""
+"""An object that this many searches of a container did not find counts as absent there."""
 MAX_FAILURES = 3
-"""After so many failed searches a container counts as searched, after so many failed interactions an object as gone."""
+"""A container counts as searched after this many failed searches, an object as gone after as many failed
+interactions."""
 
 
 class Belief:
     """The belief about one task's objects.
 
     Args:
-        presence_prob: [C, O] the prior probability that the object is in the container; 0 or 1 where it is searched.
-        searched: [C] whose contents are known.
+        presence_prob: [C, O] the prior probability that the object is in the container; 0 or 1 in searched containers.
+        searched: [C] whether the container's contents are known.
         sensor: how well searches see.
     """
 
@@ -43,7 +44,7 @@ class Belief:
         """What planners are told: [C, O] and [C]."""
         self._prior = np.where(searched[:, None], presence_prob, sensor.prior(presence_prob))
         self.posterior = self._prior.copy()
-        """[C, O] what is thought in fact; the same but where searches err."""
+        """[C, O] the actual belief; it differs from what planners are told only where searches err."""
         self.detected = (presence_prob == 1.0) & searched[:, None]
         """[C, O] whether the object was ever detected there, and not ruled out since."""
         self.searches = np.zeros(len(searched), dtype=np.int64)
@@ -52,11 +53,11 @@ class Belief:
         """How often a container's search (object -1) or an interaction there failed."""
 
     def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
-        """A search of the container is over. True if that is news.
+        """Take in the end of a search of the container. True if that is news.
 
         Args:
-            seen: [O] the detections, as of `Sensor.posterior`.
-            fresh: [O] of which objects it tells anything; None: of all.
+            seen: [O] the detections, as `Sensor.posterior` takes them.
+            fresh: [O] the objects that the search says anything about; None: all.
         """
         told = np.ones(len(seen), dtype=bool) if fresh is None else fresh
         before = self.posterior[container]
@@ -70,23 +71,23 @@ class Belief:
         return self._now_searched(container, np.where(given_up, 0.0, after))
 
     def gave_up(self, container: int) -> bool:
-        """Nobody can search the container: nothing is expected of it any more. True if that is news."""
+        """Give the container up, because nobody can search it. True if that is news."""
         self.detected[container] = False
         return self._now_searched(container, np.zeros(self.presence_prob.shape[1]))
 
     def glimpsed(self, container: int, obj: int, seen: float) -> bool:
-        """One object was seen in passing, or not seen: ``seen`` as of `Sensor.posterior`. True if that is news."""
+        """Take in a passing glance at one object; ``seen`` is as in `Sensor.posterior`. True if that is news."""
         row = self.posterior[container]
         self.detected[container, obj] |= seen >= DETECTED
         return self._set(container, obj, float(self.sensor.posterior(row, np.full(len(row), seen))[obj]))
 
     def ruled_out(self, container: int, obj: int) -> bool:
-        """One object is certainly not in the container. True if that is news."""
+        """Take in that one object is certainly not in the container. True if that is news."""
         self.detected[container, obj] = False
         return self._set(container, obj, 0.0)
 
     def failed(self, container: int, obj: int) -> None:
-        """A search (object -1) or an interaction could not be made; what fails too often is given up."""
+        """Count a search (object -1) or an interaction that could not be made; give up what fails too often."""
         count = self.failures[container, obj] = self.failures.get((container, obj), 0) + 1
         if count >= MAX_FAILURES and obj >= 0:
             self.ruled_out(container, obj)
@@ -94,15 +95,15 @@ class Belief:
             self.gave_up(container)
 
     def found(self) -> NDArray[np.bool_]:
-        """[O] whether some searched container is believed to hold the object."""
+        """Return [O] whether some searched container is believed to hold the object."""
         return np.asarray(((self.presence_prob > 0) & self.searched[:, None]).any(axis=0))
 
     def look_again(self, missing: NDArray[np.bool_], reachable: NDArray[np.bool_]) -> None:
-        """Opens searched containers in which a missing object may have been overlooked, where no open one is likelier.
+        """Reopen searched containers where a missing object may have been overlooked and no open container is likelier.
 
         Args:
-            missing: [O] the objects that are needed and were not found.
-            reachable: [C] where robots can go.
+            missing: [O] the needed objects that were not found.
+            reachable: [C] the containers that robots can reach.
         """
         doubtful = self.searched & reachable
         open_now = ~self.searched & reachable
@@ -136,7 +137,7 @@ def prior_belief(
     sensor: Sensor,
     known: Mapping[int, NDArray[np.bool_]] | None = None,
 ) -> Belief:
-    """The belief of a team that has the likelihoods [C, O] and knows what some containers hold (index -> [O])."""
+    """Return the belief of a team with these likelihoods [C, O] that knows what some containers hold (index -> [O])."""
     presence_prob, searched = likelihood.astype(float).copy(), np.zeros(len(likelihood), dtype=bool)
     for container, holds in (known or {}).items():
         presence_prob[container], searched[container] = holds, True

@@ -1,34 +1,50 @@
-"""One planner on one trial, from the first decision to acceptance or a stated failure."""
+"""Run one planner on one trial, from the first decision to acceptance or a stated failure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
+from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.table import build_table
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Plan, Planner, PlanningProblem
+from mrtask.planning.planners import planner_name
+from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05
-"""The paper's grid cell, in which its table counts cost."""
+"""The paper's grid cell, the unit of cost in its table."""
 MAX_DECISIONS = 1000
 IDLE_DECISIONS_PER_ROBOT = 10
-"""An episode fails with so many decisions in a row between which nothing was learned or done: its planner goes round in
-circles. A team needs no more than one or two each, for robots that take up a place early."""
+"""An episode fails after this many decisions per robot in a row between which nothing was learned or done: its planner
+goes round in circles. A team needs no more than one or two each, for robots that take up a place early."""
+BY_HAND = "by_hand"
+"""The planner's name in an episode that is stepped by hand."""
+Likelihood = NDArray[np.float64] | LikelihoodModel
+"""[C, O] the probability that container c holds the trial's object o, or a model to ask."""
 Observer = Callable[[float, PlanningProblem, Plan], None]
-"""Told of each decision: the time in seconds, what the planner saw and what it answered."""
+"""Called at each decision with the time in seconds, what the planner saw and what it answered."""
+
+
+class Plans(Protocol):
+    """The least that a planner must have."""
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Return the team's assignments."""
+        ...
 
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What an episode came to. What it costs is the trial's to say; ``error`` says why a failed one failed."""
+    """An episode's outcome; the trial defines its cost."""
 
     planner: str
     status: str
@@ -38,110 +54,187 @@ class EpisodeResult:
     planning_s: float
     samples: int
     error: str | None
+    """Why a failed episode failed."""
     trace: Trace
     searched: tuple[bool, ...]
-    """Of each container: whether its contents were seen, or known from the start."""
+    """[C] whether each container's contents were seen, or known from the start."""
+
+
+class Episode:
+    """One trial, stepped by hand: read `problem`, give `step` a plan, until `done`; `run_episode` is this loop.
+
+    Args:
+        likelihood: where objects may be.
+        name: the planner's name; the seeds of its plans depend on it.
+        known: whether the planner sees the true contents from the start.
+        max_decisions: the episode fails if the task is not done after this many.
+    """
+
+    def __init__(
+        self,
+        trial: Trial,
+        home: Home,
+        home_map: HomeMap,
+        likelihood: Likelihood,
+        name: str = BY_HAND,
+        *,
+        known: bool = False,
+        max_decisions: int = MAX_DECISIONS,
+    ) -> None:
+        self.trial, self.name = trial, name
+        self.decisions, self.samples = 0, 0
+        self.error: str | None = None
+        """Why the episode failed, once it has."""
+        self._simulation = Simulation(
+            home,
+            home_map,
+            build_automaton(trial.formula, trial.objects),
+            _matrix(likelihood, home, trial.objects),
+            np.array([[obj in container.objects for obj in trial.objects] for container in home.containers]),
+            team=trial.team,
+            start_cell=trial.start_cell,
+            known=known,
+            known_containers=trial.known,
+            seed=trial.seed,
+        )
+        self._reachable, self._max_decisions, self._idle_decisions = home_map.reachable, max_decisions, 0
+
+    @property
+    def done(self) -> bool:
+        """Whether the task is done or the episode has failed."""
+        return self._simulation.accepted or self.error is not None
+
+    @property
+    def time_s(self) -> float:
+        """The present instant."""
+        return self._simulation.time_s
+
+    @property
+    def problem(self) -> PlanningProblem:
+        """What a planner may know now."""
+        return self._simulation.problem()
+
+    @property
+    def seed(self) -> int:
+        """The seed of the next plan: it depends on the trial, the planner's name and the number of the decision."""
+        return key_seed(self.trial.seed, self.name, self.decisions)
+
+    def step(self, plan: Plan) -> None:
+        """Carry out a plan until the task is done or a robot is free again.
+
+        Raises:
+            ValueError: the episode is done, or the plan cannot be carried out.
+        """
+        if self.done:
+            raise ValueError(f"the episode is done ({self.error or 'accepted'}); make a new Episode to go on")
+        self.decisions += 1
+        self.samples += plan.info.samples
+        self._simulation.assign(plan.assignments)
+        moved = self._simulation.advance()
+        self._idle_decisions = 0 if self._simulation.news else self._idle_decisions + 1
+        if not moved:
+            self.error = self._stuck()
+        elif self._idle_decisions == IDLE_DECISIONS_PER_ROBOT * self.trial.team.robots:
+            self.error = f"no progress for {self._idle_decisions} decisions: {self.name} neither searches nor interacts"
+        elif self.decisions >= self._max_decisions and not self._simulation.accepted:
+            self.error = f"decision limit of {self._max_decisions} reached"
+
+    def result(self, planning_s: float = 0.0) -> EpisodeResult:
+        """Return the outcome; ``planning_s`` is how long planning took, where the caller measured it.
+
+        Raises:
+            ValueError: the episode is not done.
+        """
+        if not self.done:
+            raise ValueError(f"the episode is not done after {self.decisions} decisions; step it until `done` is true")
+        trace = self._simulation.trace()
+        cost_s = _cost_s(self.trial, self.time_s, trace) if self.error is None else None
+        return EpisodeResult(
+            planner=self.name,
+            status="accepted" if self.error is None else "failed",
+            cost_s=cost_s,
+            cost_cells=None if cost_s is None else cost_s * self.trial.team.spec.speed_m_per_s / CELL_M,
+            decisions=self.decisions,
+            planning_s=planning_s,
+            samples=self.samples,
+            error=self.error,
+            trace=trace,
+            searched=tuple(bool(seen) for seen in self._simulation.searched),
+        )
+
+    def _stuck(self) -> str:
+        missing = self._simulation.missing()
+        if missing and self._simulation.searched[self._reachable].all():
+            return f"found in no container that can be reached: {', '.join(missing)}"
+        return "every robot waits and none is under way"
 
 
 def run_episode(
     trial: Trial,
     home: Home,
     home_map: HomeMap,
-    likelihood: NDArray[np.float64],
-    planner_name: str,
-    planner_options: Mapping[str, object] | None = None,
+    likelihood: Likelihood,
+    planner: Plans,
+    name: str | None = None,
     *,
-    planner: Planner | None = None,
     max_decisions: int = MAX_DECISIONS,
     observe: Observer | None = None,
 ) -> EpisodeResult:
-    """Runs a trial with a planner.
+    """Run a trial with a planner.
 
     Args:
-        likelihood: [C, O] the model's probability that container c holds the trial's object o.
-        planner: the planner itself, where it is not to be made from its name and options.
+        likelihood: where objects may be.
+        planner: one of ours, or any object with a method `plan`.
+        name: the planner's name, on which its seeds depend; None: its name among ours, or its import path.
 
     Raises:
-        ValueError: an unknown planner, refused options, or a plan that the simulation cannot carry out.
+        ValueError: a plan that the simulation cannot carry out.
+        TypeError: a planner without a method `plan`.
     """
-    planner = planner or make_planner(planner_name, planner_options)
-    simulation = _simulation(trial, home, home_map, likelihood, planner.knows_contents)
-    decisions, idle_decisions, samples, planning_s, error = 0, 0, 0, 0.0, None
-    max_idle_decisions = IDLE_DECISIONS_PER_ROBOT * trial.team.robots
-    while not simulation.accepted:
-        if decisions == max_decisions:
-            error = f"decision limit of {max_decisions} reached"
-            break
-        problem = simulation.problem()
+    full = as_planner(planner)
+    name = name or planner_name(full)
+    episode = Episode(trial, home, home_map, likelihood, name, known=full.knows_contents, max_decisions=max_decisions)
+    planning_s = 0.0
+    while not episode.done:
+        problem = episode.problem
         began_s = perf_counter()
-        plan = planner.plan(problem, key_seed(trial.seed, planner_name, decisions))
+        plan = full.plan(problem, episode.seed)
         planning_s += perf_counter() - began_s
-        decisions += 1
-        samples += plan.info.samples
         if observe is not None:
-            observe(simulation.time_s, problem, plan)
-        simulation.assign(plan.assignments)
-        if not simulation.advance():
-            missing = simulation.missing()
-            error = (
-                f"found in no container that can be reached: {', '.join(missing)}"
-                if missing and simulation.searched[home_map.reachable].all()
-                else "every robot waits and none is under way"
-            )
-            break
-        idle_decisions = 0 if simulation.news else idle_decisions + 1
-        if idle_decisions == max_idle_decisions:
-            error = f"no progress for {idle_decisions} decisions: {planner_name} neither searches nor interacts"
-            break
-    trace = simulation.trace()
-    cost_s = _cost_s(trial, simulation.time_s, trace) if error is None else None
-    return EpisodeResult(
-        planner=planner_name,
-        status="accepted" if error is None else "failed",
-        cost_s=cost_s,
-        cost_cells=None if cost_s is None else cost_s * trial.team.spec.speed_m_per_s / CELL_M,
-        decisions=decisions,
-        planning_s=planning_s,
-        samples=samples,
-        error=error,
-        trace=trace,
-        searched=tuple(bool(seen) for seen in simulation.searched),
-    )
+            observe(episode.time_s, problem, plan)
+        episode.step(plan)
+    return episode.result(planning_s)
 
 
-def warm_up(
-    trial: Trial,
-    home: Home,
-    home_map: HomeMap,
-    likelihood: NDArray[np.float64],
-    planner_name: str,
-    planner_options: Mapping[str, object] | None = None,
-) -> None:
-    """Lets a planner compile what it needs, on a trial's first decision; arguments and errors as of `run_episode`."""
-    planner = make_planner(planner_name, planner_options)
-    planner.warm_up(_simulation(trial, home, home_map, likelihood, planner.knows_contents).problem())
+def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans) -> None:
+    """Let a planner compile what it needs, on a trial's first decision; takes and raises what `run_episode` does."""
+    full = as_planner(planner)
+    full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents).problem)
 
 
-def _simulation(
-    trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], known: bool
-) -> Simulation:
-    automaton = build_automaton(trial.formula, trial.objects)
-    truth = np.array([[name in container.objects for name in trial.objects] for container in home.containers])
-    return Simulation(
-        home,
-        home_map,
-        automaton,
-        likelihood,
-        truth,
-        team=trial.team,
-        start_cell=trial.start_cell,
-        known=known,
-        known_containers=trial.known,
-        seed=trial.seed,
-    )
+def as_planner(planner: Plans) -> Planner:
+    """Return the planner with defaults for what it lacks.
+
+    Raises:
+        TypeError: it has no method `plan`.
+    """
+    if isinstance(planner, Planner):
+        return planner
+    if not callable(getattr(planner, "plan", None)):
+        raise TypeError(
+            f"a planner is an object with a method plan(problem, seed), not {planner!r}; "
+            "make_planner makes one from a name or an import path"
+        )
+    return PlanOnly(planner.plan)
+
+
+def _matrix(likelihood: Likelihood, home: Home, objects: tuple[str, ...]) -> NDArray[np.float64]:
+    if isinstance(likelihood, np.ndarray):
+        return likelihood
+    return build_table(likelihood, [home], objects).matrix(home, objects)
 
 
 def _cost_s(trial: Trial, makespan_s: float, trace: Trace) -> float:
     if trial.cost == "makespan":
         return makespan_s
-    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == "move") for legs in trace.robots)
+    return min(sum(leg.t1_s - leg.t0_s for leg in legs if leg.kind == ActKind.MOVE) for legs in trace.robots)

@@ -1,20 +1,20 @@
-"""A whole comparison in one process: planners on the same trials, and their episodes as a table.
+"""Compare planners on the same trials, in one process, with their episodes as a table.
 
-For programs and notebooks that use mrtask as a library. Trials, seeds and columns are those of the pipeline, which adds
-many workers, continuation and the report.
+This is for programs and notebooks that use mrtask as a library. Trials, seeds and columns are the same as in the
+pipeline, which adds many workers, continuation and the report.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.execution.episode import EpisodeResult, run_episode
+from mrtask.execution.episode import EpisodeResult, Plans, as_planner, run_episode
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
@@ -22,15 +22,7 @@ from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
-
-
-class Plans(Protocol):
-    """The least that a planner must have."""
-
-    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """The team's assignments."""
-        ...
+from mrtask.planning.problem import Planner
 
 
 @dataclass(frozen=True)
@@ -44,7 +36,7 @@ class Progress:
 
 
 Named = Sequence[str] | Mapping[str, Plans]
-"""Planners of the table by name, or any planners under names of one's own."""
+"""Names of planners in `PLANNERS`, or any planners under names that you choose."""
 
 
 def run_experiment(
@@ -59,16 +51,16 @@ def run_experiment(
     cache_dir: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> pd.DataFrame:
-    """One row per (trial, planner), with the ``trace`` of each episode as a `Trace`.
+    """Run every planner on every trial; return one row per (trial, planner), the ``trace`` column as `Trace`.
 
     Args:
-        homes: the homes to evaluate on; trials are made for every size class among them. None of them should be known
-            to the likelihood from training.
-        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name of your
-            own to a planner. A planner's random seeds depend on that name.
-        likelihood: where objects are thought to be.
+        homes: the homes to evaluate on; trials are made for every size class among them. The likelihood should not have
+            been trained on any of them.
+        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name that
+            you choose to a planner. A planner's random seeds depend on its name.
+        likelihood: where objects may be.
         trials_per_cell: trials for each size class and team size.
-        cache_dir: a folder that keeps maps from one call to the next.
+        cache_dir: a folder in which maps are kept between calls.
 
     Raises:
         ValueError: an unknown planner, a plan that cannot be carried out, or no home with enough objects.
@@ -95,7 +87,7 @@ def run_experiment(
 
 
 def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, Any]:
-    """An episode as a row of a table."""
+    """Return an episode as a row of a table."""
     return {
         "trial_id": trial.trial_id,
         "home_id": home.id,
@@ -121,13 +113,11 @@ def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, An
 def _planners(planners: Named) -> dict[str, Planner]:
     if not isinstance(planners, Mapping):
         return {name: make_planner(name) for name in planners}
-    return {
-        name: planner if isinstance(planner, Planner) else PlanOnly(planner.plan) for name, planner in planners.items()
-    }
+    return {name: as_planner(planner) for name, planner in planners.items()}
 
 
 def _episodes(
     trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], planners: Mapping[str, Planner]
 ) -> Iterator[EpisodeResult]:
     for name, planner in planners.items():
-        yield run_episode(trial, home, home_map, likelihood, name, planner=planner)
+        yield run_episode(trial, home, home_map, likelihood, planner, name)

@@ -1,4 +1,4 @@
-"""Which letters the interactions of one instant spell."""
+"""The letters that the interactions of one instant spell."""
 
 from functools import cache
 
@@ -6,10 +6,10 @@ from mrtask.tasks.automaton import Automaton
 
 
 def serving_order(automaton: Automaton, state: int, objects: frozenset[int]) -> list[int]:
-    """The order of one instant's interactions: all that advance the task are made, so that it ends nearest to done.
+    """Return the order of one instant's interactions that leaves the task nearest to done.
 
-    Only an interaction that does not advance the task when its turn comes is dropped. Of orders that end equally near,
-    the one that drops fewest; then the lower object index first.
+    An interaction is dropped only if it does not advance the task when its turn comes. Of orders that end equally near,
+    the one that drops fewest wins; then the one with the lower object index first.
     """
 
     @cache

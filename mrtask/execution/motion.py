@@ -1,7 +1,7 @@
-"""Where a robot is, between cells too, and the legs it drives: continuous in space, exact in time.
+"""Positions, also between cells, and the routes that robots drive: continuous in space, exact in time.
 
-A robot redirected in mid-path stands somewhere on the edge between two neighbouring cells, and goes on by whichever end
-of that edge is nearer to its new target.
+A robot redirected in mid-path is somewhere on the edge between two neighbouring cells. It goes on by the end of that
+edge that is nearer to its new target.
 """
 
 from dataclasses import dataclass
@@ -26,17 +26,17 @@ class Position:
 
     @staticmethod
     def at(cell: Cell) -> "Position":
-        """The centre of a cell."""
+        """Return the centre of a cell."""
         return Position(cell, cell)
 
     def point(self, home_map: HomeMap) -> Point:
-        """The position in metres."""
+        """Return the position in metres."""
         (x0, y0), (x1, y1) = home_map.cell_center(self.back), home_map.cell_center(self.ahead)
         share = self.offset_m / self.length_m if self.length_m else 0.0
         return (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
 
     def distances_m(self, home_map: HomeMap) -> NDArray[np.float64]:
-        """[C] the path lengths to all containers; inf where unreachable."""
+        """Return [C] the path lengths to all containers; inf where unreachable."""
         back = home_map.distances_m(self.back) + self.offset_m
         if self.back == self.ahead:
             return back
@@ -57,7 +57,7 @@ class Route:
         return float(self.reached_m[-1])
 
     def position(self, driven_m: float) -> Position:
-        """Where the robot is after ``driven_m`` metres."""
+        """Return where the robot is after ``driven_m`` metres."""
         after = int(np.searchsorted(self.reached_m, driven_m, side="left"))
         if after >= len(self.cells):
             return Position.at(self.cells[-1])
@@ -71,20 +71,20 @@ class Route:
         return Position(self.start.back, self.start.ahead, offset_m, self.start.length_m)
 
     def points(self, home_map: HomeMap, driven_m: float) -> tuple[Point, ...]:
-        """The turning points of the first ``driven_m`` metres, ends included."""
+        """Return the turning points of the first ``driven_m`` metres, ends included."""
         passed = [cell for cell, metres in zip(self.cells, self.reached_m, strict=True) if metres < driven_m]
         line = [self.start.point(home_map), *map(home_map.cell_center, passed)]
         line.append(self.position(driven_m).point(home_map))
         return _turning_points(line)
 
     def points_after(self, home_map: HomeMap, driven_m: float) -> tuple[Point, ...]:
-        """The turning points of what is left after ``driven_m`` metres, ends included."""
+        """Return the turning points of the rest after ``driven_m`` metres, ends included."""
         ahead = [cell for cell, metres in zip(self.cells, self.reached_m, strict=True) if metres > driven_m]
         return _turning_points([self.position(driven_m).point(home_map), *map(home_map.cell_center, ahead)])
 
 
 def plan_route(home_map: HomeMap, start: Position, container: int) -> Route:
-    """The shortest route from a position to a reachable container."""
+    """Return the shortest route from a position to a reachable container."""
     ends = [(start.offset_m, start.back), (start.length_m - start.offset_m, start.ahead)]
     lead_m, first = min(ends, key=lambda end: end[0] + home_map.distances_m(end[1])[container])
     cells = [(int(row), int(col)) for row, col in home_map.path(first, container)]

@@ -1,34 +1,232 @@
-"""One robot of a team: where it is, what it does, and what it has done."""
+"""One robot of a team: where it is, what it does, how it drives, and what it has done.
 
-from dataclasses import dataclass, field
+A robot knows its speed, its durations and its map, but neither the task nor the belief: `TeamState` tells it what to
+do. It has no clock either: every method is told the present instant, ``now_s``.
+"""
 
-from mrtask.execution.motion import Position, Route
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrtask.execution.acts import WAIT_LEG, Act, ActKind
+from mrtask.execution.motion import Position, Route, plan_route
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Leg
 from mrtask.homes.home import Point
-from mrtask.planning.problem import WAIT, Assignment
+from mrtask.maps.home_map import HomeMap
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
 
-LOST = "lost"
+EARLY_S = 1e-6
+"""A robot that arrives sooner than expected by more than this was faster than its speed says."""
+FREE = Act(ActKind.FREE)
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The names that legs are written with: [C] of the containers and [O] of the task's objects."""
+
+    containers: tuple[str, ...]
+    objects: tuple[str, ...]
 
 
 @dataclass
 class Robot:
-    """One robot; ``obj`` is the object it interacts with."""
+    """One robot. It has a ``route`` exactly while it moves."""
 
     position: Position
+    """Where it stands, or where it set out on its route."""
+    spec: RobotSpec
+    home_map: HomeMap
+    labels: Labels
     place: int = -1
-    """The container the robot stands at."""
-    mode: str = "free"
-    """``free``, ``move``, ``search``, ``interact``, ``lost`` or, between arrival and the end of the instant,
-    ``settling``."""
+    """The container that it stands at, -1 anywhere else."""
+    act: Act = field(default=FREE)
     assignment: Assignment = field(default=Assignment(WAIT))
     since_s: float = 0.0
-    """Since when it does this."""
-    moved_s: float = 0.0
-    """Since when it drives its route."""
-    until_s: float = float("inf")
-    """When it is expected to end."""
+    """When the present leg began."""
     route: Route | None = None
+    moved_s: float = 0.0
+    """When it set out on its route."""
     passed: tuple[Point, ...] = ()
     """The way driven in this leg before the present route."""
-    obj: int = -1
     legs: list[Leg] = field(default_factory=list)
+
+    @property
+    def free(self) -> bool:
+        """Whether it waits for a decision."""
+        return self.act.kind is ActKind.FREE
+
+    @property
+    def moving(self) -> bool:
+        """Whether it is under way to its assignment's container."""
+        return self.act.kind is ActKind.MOVE
+
+    @property
+    def lost(self) -> bool:
+        """Whether it takes no part."""
+        return self.act.kind is ActKind.LOST
+
+    def position_at(self, now_s: float) -> Position:
+        """Return where the robot is, or should be by now."""
+        return self.position if self.route is None else self.route.position(self._driven_m(now_s))
+
+    def can_reach(self, container: int, position: Position) -> bool:
+        """Return whether there is a way from the position to the container."""
+        return bool(np.isfinite(position.distances_m(self.home_map)[container]))
+
+    def travel_s(self, now_s: float) -> NDArray[np.float64]:
+        """Return [C] the time from where the robot is to each container; inf where unreachable."""
+        return self.position_at(now_s).distances_m(self.home_map) / self.spec.speed_m_per_s
+
+    def way_left(self, now_s: float) -> tuple[tuple[Point, ...], float]:
+        """Return the turning points and the metres of its route that lie ahead."""
+        if self.route is None:
+            return (), 0.0
+        driven_m = self._driven_m(now_s)
+        return self.route.points_after(self.home_map, driven_m), max(self.route.length_m - driven_m, 0.0)
+
+    def status(self, now_s: float) -> RobotStatus:
+        """Return what a planner may know of the robot."""
+        return RobotStatus(
+            travel_s=self.travel_s(now_s),
+            place=self.place,
+            free=self.free,
+            target=self.assignment.container if self.moving else -1,
+            interaction=self.assignment.interaction,
+            remaining_s=0.0 if self.free else max(self.act.until_s - now_s, 0.0),
+            interacting=self.act.obj if self.act.kind is ActKind.INTERACT else -1,
+        )
+
+    def set_out(self, assignment: Assignment, now_s: float) -> None:
+        """Begin the way to the assignment's container, if the robot is not there already.
+
+        Raises:
+            ValueError: there is no way to the container.
+        """
+        position, container = self.position_at(now_s), assignment.container
+        if container != WAIT and not self.can_reach(container, position):
+            raise ValueError(f"container {self.labels.containers[container]} cannot be reached; assign another or WAIT")
+        self._halt(position, now_s)
+        self.assignment = assignment
+        if container not in (WAIT, self.place):
+            self.place = -1
+            self._drive(position, now_s)
+
+    def see_at(self, position: Position, now_s: float) -> None:
+        """Correct where the robot is, on its way or standing; it drives on from there."""
+        if self.moving:
+            self._go_on_from(position, now_s)
+        elif self.free:
+            self._close_leg(now_s)
+            if position != self.position:
+                self.position, self.place = position, -1
+
+    def go_on(self, position: Position, now_s: float) -> None:
+        """Go on from a position on a changed map; free, if the robot can no longer get to its container."""
+        if self.moving and self.can_reach(self.assignment.container, position):
+            self._go_on_from(position, now_s)
+            return
+        if self.moving:
+            self.stop(now_s)
+        elif self.free and position != self.position:
+            self._close_leg(now_s)
+            self.place = -1
+        self.position = position
+
+    def stop(self, now_s: float) -> None:
+        """Give up the way; the robot is free where it is."""
+        self._halt(self.position_at(now_s), now_s)
+        self.assignment = Assignment(WAIT)
+
+    def arrive(self, now_s: float, *, search: bool) -> None:
+        """Stand at the assignment's container, expected there now or at any other time, and ``search`` it or settle."""
+        if self.route is not None:
+            needed_s = self.route.length_m / self.spec.speed_m_per_s
+            if now_s - self.moved_s < needed_s - EARLY_S:  # it has driven all of its way even so
+                self.moved_s = now_s - needed_s
+        self._close_leg(now_s)
+        if self.route is not None:
+            self.position, self.route = Position.at(self.route.cells[-1]), None
+        self.place, self.passed = self.assignment.container, ()
+        self.act = Act(ActKind.SETTLING, now_s)
+        if search:
+            self.begin(ActKind.SEARCH, now_s)
+
+    def end_search(self, now_s: float) -> None:
+        """The search is over; what the robot does next is decided within the instant."""
+        self._close_leg(now_s)
+        self.act = Act(ActKind.SETTLING, now_s)
+
+    def begin(self, kind: ActKind, now_s: float, obj: int = -1) -> None:
+        """Begin an act at the place where the robot stands, perhaps with a task object."""
+        self._close_leg(now_s)
+        self.act = Act(kind, now_s + self.spec.duration_s(kind), obj)
+
+    def end_interaction(self, now_s: float) -> None:
+        """The interaction is over; a robot that was sent for it is free, others may begin another."""
+        self._close_leg(now_s)
+        self.act = replace(self.act, kind=ActKind.SETTLING, obj=-1)
+        if self.assignment.interaction != ANY_SAFE:
+            self.release()
+
+    def release(self) -> None:
+        """Be free, where the robot stands."""
+        self.act = FREE
+        self.assignment = Assignment(WAIT, self.assignment.interaction)
+
+    def lose(self, now_s: float) -> None:
+        """Leave the team."""
+        self._halt(self.position_at(now_s), now_s, Act(ActKind.LOST, obj=self.act.obj))
+
+    def join(self, position: Position, now_s: float) -> None:
+        """Take part from now on, free at this position."""
+        self._halt(position, now_s)
+        self.place, self.assignment = -1, Assignment(WAIT)
+
+    def legs_until(self, now_s: float) -> tuple[Leg, ...]:
+        """Return all legs; that of an act under way is cut off at the present instant."""
+        return (*self.legs, *([] if self.lost else self._leg_now(now_s)))
+
+    def _driven_m(self, now_s: float) -> float:
+        return (now_s - self.moved_s) * self.spec.speed_m_per_s
+
+    def _halt(self, position: Position, now_s: float, act: Act = FREE) -> None:
+        self._close_leg(now_s)
+        self.position, self.act, self.route, self.passed = position, act, None, ()
+
+    def _drive(self, position: Position, now_s: float) -> None:
+        self.position, self.moved_s = position, now_s
+        self.route = plan_route(self.home_map, position, self.assignment.container)
+        self.act = Act(ActKind.MOVE, now_s + self.route.length_m / self.spec.speed_m_per_s)
+
+    def _go_on_from(self, position: Position, now_s: float) -> None:
+        """The leg goes on with another route."""
+        if self.route is not None:
+            self.passed += self.route.points(self.home_map, self._driven_m(now_s))
+        self._drive(position, now_s)
+
+    def _close_leg(self, now_s: float) -> None:
+        """Write down what the robot did since its last leg; moves and waits only if time passed."""
+        self.legs += self._leg_now(now_s)
+        self.since_s = now_s
+
+    def _leg_now(self, now_s: float) -> list[Leg]:
+        """The leg from the end of the last one until now, or none."""
+        kind = self.act.kind.leg
+        if kind in (ActKind.MOVE, WAIT_LEG) and self.since_s == now_s:
+            return []
+        path: tuple[Point, ...] = (self.position.point(self.home_map),)
+        target = self.place
+        if self.route is not None:
+            path = (*self.passed, *self.route.points(self.home_map, self._driven_m(now_s)))
+            target = self.assignment.container
+        leg = Leg(
+            kind=kind,
+            t0_s=self.since_s,
+            t1_s=now_s,
+            container=self.labels.containers[target] if target >= 0 else None,
+            object=self.labels.objects[self.act.obj] if self.act.kind is ActKind.INTERACT else None,
+            path=path,
+        )
+        return [leg]

@@ -1,6 +1,6 @@
-"""One trial that a person describes: a home, a task in words, a team and where it starts.
+"""One trial that a person describes: a home, a task in words or as a formula, a team and where it starts.
 
-The other trials are drawn (`mrtask.execution.trials`); this one is given. Every planner runs on it.
+Other trials are drawn (`mrtask.execution.trials`). Every planner runs on this one.
 """
 
 from collections.abc import Collection
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.errors import InputError
+from mrtask.execution.make_trial import trial_of
 from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home, Point
@@ -19,16 +20,12 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.words import ReadTask, read_task
 
 UNKNOWN_PROB = 0.1
-"""The likelihood of every object in every container where no model is asked."""
-START_REACH_M = 0.5
-"""A start off the free floor is moved at most this far."""
-OWN_TASK = "formula"
-"""What a trial's ``template`` says of a task that is none of the paper's."""
+"""The likelihood of every object in every container where there is no model."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What `mrtask.execution.episode.run_episode` needs beside the planner."""
+    """All that `mrtask.execution.episode.run_episode` needs except the planner."""
 
     home: Home
     home_map: HomeMap
@@ -38,13 +35,13 @@ class Scenario:
 
 
 def task_in(home: Home, text: str, objects: Collection[str] | None = (), *, robots: int) -> ReadTask:
-    """A task from a formula or from words about this home.
+    """Return the task of a formula, or of words about this home.
 
     Args:
-        objects: names beside those that the home's containers list; None: any name will do.
+        objects: names allowed in addition to those in the home's containers; None allows any name.
 
     Raises:
-        InputError: it is none, has more than one meaning, or delivers something with more than one robot.
+        InputError: the text is no task, has more than one meaning, or delivers something with more than one robot.
     """
     listed = {name for container in home.containers for name in container.objects}
     places = [container.id for container in home.containers if container.id.isidentifier()]
@@ -58,7 +55,7 @@ def task_in(home: Home, text: str, objects: Collection[str] | None = (), *, robo
 
 
 def with_places(home: Home, places: Collection[str]) -> Home:
-    """The home in which each of these containers holds itself, so that a task can ask to interact with it."""
+    """Return the home with each of these containers inside itself, so that a task can ask to interact with it."""
     containers = tuple(
         replace(one, objects=tuple(sorted({*one.objects, one.id}))) if one.id in places else one
         for one in home.containers
@@ -67,7 +64,7 @@ def with_places(home: Home, places: Collection[str]) -> Home:
 
 
 def prior(home: Home, task: ReadTask, model: LikelihoodModel | None) -> NDArray[np.float64]:
-    """[C, O] the model's likelihoods of the task's objects, all equal without one; places are where they are."""
+    """Return [C, O] the model's likelihoods of the task's objects, all equal without a model; places are known."""
     names = [name for name in task.propositions if name not in task.places]
     likelihood = np.zeros((len(home.containers), len(task.propositions)))
     scored = UNKNOWN_PROB if model is None else build_table(model, [home], names).matrix(home, names)
@@ -78,9 +75,9 @@ def prior(home: Home, task: ReadTask, model: LikelihoodModel | None) -> NDArray[
 
 
 def drawn_worlds(scenario: Scenario, count: int, seed: int) -> list[Home]:
-    """The home with the task's objects where its likelihoods put them, every object somewhere a robot can get to.
+    """Draw worlds: the home with the task's objects placed by the likelihoods, each somewhere that robots can reach.
 
-    What a planner saves on average over such worlds is its own doing; what it saves in one world is luck as well.
+    A planner's mean saving over such worlds is its merit; its saving in one world is partly luck.
 
     Raises:
         InputError: an object has likelihood 0 everywhere.
@@ -102,25 +99,6 @@ def drawn_worlds(scenario: Scenario, count: int, seed: int) -> list[Home]:
     return worlds
 
 
-def free_cell_near(home_map: HomeMap, point: Point, reach_m: float = START_REACH_M) -> tuple[int, int]:
-    """The free cell nearest to a place in metres.
-
-    Raises:
-        InputError: there is none within ``reach_m``.
-    """
-    cells = np.argwhere(home_map.free)
-    row, col = ((point[axis] - home_map.origin_m[axis]) / home_map.resolution_m - 0.5 for axis in (1, 0))
-    away = np.hypot(cells[:, 0] - row, cells[:, 1] - col)
-    nearest = int(np.argmin(away))
-    if away[nearest] * home_map.resolution_m > reach_m:
-        x, y = home_map.cell_center((int(cells[nearest, 0]), int(cells[nearest, 1])))
-        raise InputError(
-            f"({point[0]:g}, {point[1]:g}) is more than {reach_m} m from where a robot fits; the nearest such place is "
-            f"({x:.2f}, {y:.2f}), in the map's metres"
-        )
-    return (int(cells[nearest, 0]), int(cells[nearest, 1]))
-
-
 def make_scenario(
     name: str,
     home: Home,
@@ -133,24 +111,12 @@ def make_scenario(
     objects: Collection[str] = (),
     seed: int = 0,
 ) -> Scenario:
-    """A trial with this task; the whole team starts at ``start_m``, by default in the middle of the free floor.
+    """Return the scenario of this task; the whole team starts at ``start_m``, by default in the middle of the floor.
 
     Raises:
         InputError: the task or the start cannot be used here.
     """
     task = task_in(home, text, objects, robots=team.robots)
     home = with_places(home, task.places)
-    middle = np.argwhere(home_map.free).mean(axis=0)
-    place = home_map.cell_center((middle[0], middle[1])) if start_m is None else start_m
-    trial = Trial(
-        trial_id=name,
-        home_id=home.id,
-        size_class=home.size_class,
-        team=team,
-        template=OWN_TASK,
-        formula=task.formula,
-        objects=task.propositions,
-        start_cell=free_cell_near(home_map, place, np.inf if start_m is None else START_REACH_M),
-        seed=key_seed(seed, "planner", name),
-    )
+    trial = trial_of(name, home, home_map, task, team, start_m=start_m, seed=seed)
     return Scenario(home, home_map, trial, prior(home, task, model))

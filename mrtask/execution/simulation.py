@@ -1,8 +1,8 @@
-"""The simulated world of a team: the truth, revealed container by container, and a clock by which all goes as expected.
+"""A team's simulated world: the truth, revealed container by container, and a clock.
 
-What the team knows and does is `TeamState`'s, the same as with real robots; here its robots arrive, search and interact
-exactly when they should. All events of one instant are settled before anybody is asked for a decision; interactions
-that end at the same instant spell letters in the order that serves the task.
+`TeamState` keeps what the team knows and does, as with real robots; here the robots arrive, search and interact exactly
+when expected. All events of one instant are settled before the planner is asked for a decision; interactions that end
+at the same instant spell letters in the order that serves the task.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
 from mrtask.execution.team_spec import Team
@@ -23,14 +24,14 @@ from mrtask.tasks.automaton import Automaton
 
 
 class Simulation:
-    """One episode's world. The planner's loop is `problem`, then `assign`, then `advance`, until `accepted`.
+    """One episode's world. The loop is `problem`, then `assign`, then `advance`, until `accepted`.
 
     Args:
-        truth: [C, O] which container holds which task object.
+        truth: [C, O] whether the container holds the task object.
         likelihood: [C, O] the prior that planners see.
-        known: the team knows the truth from the start, and no container needs a search.
-        known_containers: these need no search even so.
-        seed: of what searches detect where robots do not see all there is.
+        known: whether the team knows the truth from the start, so that no container needs a search.
+        known_containers: containers that need no search in any case.
+        seed: decides what searches detect where they can err.
     """
 
     def __init__(
@@ -78,18 +79,18 @@ class Simulation:
 
     @property
     def searched(self) -> NDArray[np.bool_]:
-        """[C] whose contents are known."""
+        """[C] whether the container's contents are known."""
         return self.team.belief.searched
 
     def problem(self) -> PlanningProblem:
-        """What a planner may know now."""
+        """Return what a planner may know now."""
         return self.team.problem()
 
     def assign(self, assignments: Mapping[int, Assignment]) -> None:
-        """Gives robots new assignments; robots under way take them only where the problem said so.
+        """Give robots new assignments; robots under way take them only where the problem said so.
 
         Raises:
-            ValueError: as `TeamState.assign`.
+            ValueError: where `TeamState.assign` does.
         """
         self.team.assign(assignments)
         letters = len(self.team.letters)
@@ -97,11 +98,11 @@ class Simulation:
         self._decide_again = failed or len(self.team.letters) > letters
 
     def advance(self) -> bool:
-        """Lets time run until the task is done or a robot is free; False if nobody does anything any more."""
+        """Let time run until the task is done or a robot is free; False if no robot does anything any more."""
         if self._decide_again:  # an assignment was completed on the spot
             return True
         while not self.accepted:
-            until_s = min(robot.until_s for robot in self.team.robots)
+            until_s = min(robot.act.until_s for robot in self.team.robots)
             if until_s == float("inf"):
                 return False
             self.team.time_s = until_s
@@ -111,42 +112,43 @@ class Simulation:
         return True
 
     def trace(self) -> Trace:
-        """The record so far; actions under way are cut off at the present instant."""
+        """Return the record so far; acts under way are cut off at the present instant."""
         return self.team.trace()
 
     def missing(self) -> list[str]:
-        """Task objects that advance the task now but were found in no container that can be reached."""
+        """Return the task objects that advance the task now but were found in no container that can be reached."""
         return self.team.missing()
 
     def _process_instant(self) -> bool:
-        """Settles everything that is due now; True if that leaves a robot with a new freedom to decide."""
-        acted = [robot for robot in self.team.robots if robot.until_s <= self.time_s + SAME_INSTANT_S]
+        """Settle everything that is due now; True if that leaves a robot free."""
+        acted = [robot for robot in self.team.robots if robot.act.until_s <= self.time_s + SAME_INSTANT_S]
         for robot in acted:
-            if robot.mode == "move":
+            if robot.moving:
                 self.team.arrived(robot)
         for robot in acted:
-            if robot.mode == "search" and robot.until_s <= self.time_s + SAME_INSTANT_S:
+            if robot.act.kind is ActKind.SEARCH and robot.act.until_s <= self.time_s + SAME_INSTANT_S:
                 self.team.search_ended(robot, self.detected(robot.place))
         self._settle()
-        return any(robot.mode == "free" for robot in acted)
+        return any(robot.free for robot in acted)
 
     def detected(self, container: int) -> NDArray[np.bool_]:
-        """[O] what the next search of the container detects: the same whoever searches, whenever."""
+        """Return [O] what the next search of the container detects, whichever robot searches, and whenever."""
         belief = self.team.belief
         search = int(belief.searches[container])
         return belief.sensor.detect(self.truth[container], key_seed(self._seed, "search", container, search))
 
     def _settle(self) -> bool:
-        """Starts and completes interactions until nothing more happens at this instant; the rest are free.
+        """Start and complete interactions until nothing more happens at this instant; free the other robots.
 
-        True if any failed, because the object is not there.
+        True if an interaction failed because the object is not there.
         """
         failed = False
         while not self.accepted:
             due_s = self.time_s + SAME_INSTANT_S
-            due = [robot for robot in self.team.robots if robot.mode == "interact" and robot.until_s <= due_s]
-            in_vain = [robot for robot in due if not self.truth[robot.place, robot.obj]]
-            if done := [robot for robot in due if self.truth[robot.place, robot.obj]]:
+            acting = [robot for robot in self.team.robots if robot.act.kind is ActKind.INTERACT]
+            due = [robot for robot in acting if robot.act.until_s <= due_s]
+            in_vain = [robot for robot in due if not self.truth[robot.place, robot.act.obj]]
+            if done := [robot for robot in due if self.truth[robot.place, robot.act.obj]]:
                 self.team.interactions_ended(done)
             for robot in in_vain:
                 self.team.interaction_failed(robot, gone=True)

@@ -1,7 +1,8 @@
-"""What the robots of a team are like."""
+"""The robots of a team: speed, times, perception, number."""
 
 from dataclasses import dataclass, field
 
+from mrtask.execution.acts import ActKind
 from mrtask.execution.perception import Perception
 
 
@@ -21,10 +22,14 @@ class RobotSpec:
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must be >= 0, not {getattr(self, name)}")
 
+    def duration_s(self, kind: ActKind) -> float:
+        """Return how long an act of this kind takes, for kinds whose duration depends on the robot alone."""
+        return {ActKind.SEARCH: self.search_time_s, ActKind.INTERACT: self.interact_time_s}[kind]
+
 
 @dataclass(frozen=True)
 class Team:
-    """So many robots, all alike."""
+    """A number of robots, all alike."""
 
     robots: int
     spec: RobotSpec = field(default_factory=RobotSpec)

@@ -1,4 +1,4 @@
-"""What every robot did and when: enough to check an episode independently and to draw it."""
+"""What every robot did and when: enough to check an episode independently, and to draw it."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -8,9 +8,9 @@ from mrtask.homes.home import Point
 
 @dataclass(frozen=True)
 class Leg:
-    """One robot's uninterrupted stretch of one kind: ``move``, ``search``, ``interact`` or ``wait``.
+    """One robot's uninterrupted act of one kind: ``move``, ``search``, ``interact`` or ``wait``.
 
-    ``path`` holds the turning points in metres of a move, and the one place where the robot stands otherwise.
+    ``path`` holds a move's turning points in metres; of any other leg, the one place where the robot stands.
     """
 
     kind: str
@@ -33,19 +33,19 @@ class Letter:
 
 @dataclass(frozen=True)
 class Trace:
-    """All legs by robot, in time order, and the word they spell."""
+    """Each robot's legs in time order, and the word that the team spelled."""
 
     start: Point
     robots: tuple[tuple[Leg, ...], ...]
     letters: tuple[Letter, ...]
 
     def to_json(self) -> str:
-        """A compact JSON text, millimetres and microseconds kept."""
+        """Return the trace as compact JSON, with all digits."""
         return json.dumps(asdict(self), separators=(",", ":"), default=float)
 
     @staticmethod
     def from_json(text: str) -> "Trace":
-        """The inverse of `to_json`."""
+        """Read what `to_json` wrote."""
         raw = json.loads(text)
         return Trace(
             start=_point(raw["start"]),

@@ -1,4 +1,4 @@
-"""Trials: which home, task, start and team an episode has. All randomness of a trial comes from its own key."""
+"""Trials: the home, task, start and team of an episode. All randomness of a trial comes from its own key."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -12,11 +12,11 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
 COSTS = ("makespan", "least_motion")
-"""What an episode costs: the time until the task is done, or how long the robot that drove least was driving (the
+"""The cost of an episode: the time until the task is done, or the driving time of the robot that drove least (the
 authors' code)."""
 HOME_ORDERS = ("shuffled", "file")
-"""How a cell's trials go through the homes: shuffled for each cell, or as they stand in the files, the same for all
-team sizes (the authors' code)."""
+"""The order in which a cell's trials take the homes: shuffled for each cell, or the files' order, the same for all team
+sizes (the authors' code)."""
 
 
 @dataclass(frozen=True)
@@ -40,35 +40,35 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """Tasks of trials, from templates or a ``formula`` of the user's own over ``formula_objects``, and their robots."""
+    """The tasks of trials, from templates or from the user's ``formula`` over ``formula_objects``, and the robots."""
 
     templates: tuple[str, ...] = PAPER_TEMPLATES
     formula: str | None = None
     formula_objects: tuple[str, ...] = ()
     robot: RobotSpec = field(default_factory=RobotSpec)
     tasks_per_home: int = 1
-    """So many trials in a row are in one home."""
+    """The number of successive trials in one home."""
     unsearched_share: tuple[float, float] = (1.0, 1.0)
-    """A trial's share of unsearched containers is drawn between these; all others are known from the start."""
+    """The share of unsearched containers is drawn between these for each trial; all others are known from the start."""
     cost: str = "makespan"
     """One of `COSTS`."""
 
 
 def trial_id(size_class: str, robots: int, number: int) -> str:
-    """The key of a trial: ``medium-2-017``."""
+    """Return the key of a trial: ``medium-2-017``."""
     return f"{size_class}-{robots}-{number:03d}"
 
 
 def key_seed(*key: int | str) -> int:
-    """A 63-bit seed that depends on the key alone."""
+    """Return a 63-bit seed that depends on the key alone."""
     words = [part if isinstance(part, int) else zlib.crc32(part.encode()) for part in key]
     return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def home_order(homes: Sequence[Home], size_class: str, robots: int, seed: int, order: str = "shuffled") -> list[Home]:
-    """The homes of a class in the order in which a cell's trials take them, see `HOME_ORDERS`.
+    """Return the homes of a class in the order in which a cell's trials take them; see `HOME_ORDERS`.
 
-    Shuffled, they come in the same order whatever the order of ``homes``.
+    The shuffled order does not depend on the order of ``homes``.
     """
     members = [home for home in homes if home.size_class == size_class]
     if order == "file":
@@ -79,7 +79,7 @@ def home_order(homes: Sequence[Home], size_class: str, robots: int, seed: int, o
 
 
 def reachable_objects(home: Home, home_map: HomeMap) -> list[str]:
-    """The distinct objects of the containers that a robot can reach, sorted."""
+    """Return the distinct objects in the containers that a robot can reach, sorted."""
     reached = home_map.reachable
     return sorted(
         {name for container, ok in zip(home.containers, reached, strict=True) if ok for name in container.objects}
@@ -96,11 +96,11 @@ def sample_trial(
     seed: int,
     options: TrialOptions | None = None,
 ) -> Trial:
-    """The ``number``-th trial of a cell, on the homes of `home_order`.
+    """Return the ``number``-th trial of a cell, on the homes of `home_order`.
 
-    The template is drawn among those that the home has enough distinct reachable objects for, the objects and the start
-    cell uniformly. Homes with too few objects for every template are passed over. A ``formula`` among the options takes
-    the place of the templates in every trial.
+    The template is drawn among those for which the home has enough distinct reachable objects; the objects and the
+    start cell are drawn uniformly. Homes with too few objects for every template are skipped. A ``formula`` among the
+    options replaces the templates in every trial.
 
     Raises:
         ValueError: no home of the class has enough objects.
@@ -145,9 +145,9 @@ def sample_trial(
 def known_containers(
     home: Home, objects: Sequence[str], unsearched_share: tuple[float, float], rng: np.random.Generator
 ) -> tuple[int, ...]:
-    """Containers known from the start: all but a share drawn between the bounds, never one that holds a task's object.
+    """Draw the containers known from the start: all but a share between the bounds, none of them with a task's object.
 
-    That is how the authors' code draws trials; the share is exceeded where more containers hold such objects.
+    The authors' code draws trials like this; the share is exceeded where more containers hold such objects.
     """
     count = len(home.containers)
     unsearched = round(rng.uniform(*unsearched_share) * count)

@@ -1,15 +1,15 @@
-"""Belief that learns in a home: what searches showed corrects what a likelihood model says about this household.
+"""A belief that learns in a home: searches correct what a likelihood model says about this household.
 
 The model of a household. Each kind of container (type and room type) has a habit ``v``: this household puts more or
-less of everything there than the likelihood model thinks. Each object has one of its own there, ``w``. Both add to the
-log odds:
+less of everything there than the likelihood model thinks. Within a kind, each object has a habit ``w`` too. Both add to
+the log odds:
 
     P(object in container) = sigmoid(b + v + w),   v ~ kind_sd * N,   w ~ object_sd * N,
 
 with ``b`` such that, before anything was seen, the probability is the likelihood model's. Between one task and the
-next, a container's holding an object is drawn anew with the probability ``forget`` and stays as it is otherwise. ``N``
+next, whether a container holds an object is drawn anew with probability ``forget``, and stays the same if not. ``N``
 is the standard normal distribution on the ``NODES`` points of Gauss-Hermite quadrature, so that Bayes' rule is exact:
-sums over ``w`` within an object, over ``v`` within a kind; kinds know nothing of each other.
+sums over ``w`` within an object, over ``v`` within a kind; kinds are independent.
 """
 
 from collections import defaultdict
@@ -36,7 +36,7 @@ class AdaptOptions:
     """How far households differ from the likelihood model, and how soon they put things elsewhere.
 
     ``kind_sd``, ``object_sd``: standard deviations in log odds, chosen by ``benchmarks/bench_belief.py``. ``forget``:
-    the probability, per task, that a container's holding an object is drawn anew.
+    the probability, per task, that it is drawn anew whether a container holds an object.
     """
 
     kind_sd: float = 0.5
@@ -76,7 +76,7 @@ def adapted(
     task: int,
     options: AdaptOptions,
 ) -> Floats:
-    """``P(object in container)`` at the beginning of a task, given all that was seen in earlier ones, ``[C, O]``.
+    """Return ``P(object in container)``, ``[C, O]``, at the beginning of a task, given what earlier tasks showed.
 
     Args:
         prior: [C, O] the likelihood model's.

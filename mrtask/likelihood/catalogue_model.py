@@ -1,7 +1,7 @@
 """A likelihood model that needs no training data: the similarity model on the catalogue's counts.
 
-For a map of one's own before anything was trained. What it knows are ProcTHOR's rates, as far as the catalogue keeps
-them (`mrtask.homes.catalogue`); names that are not in it get those of similar names.
+It serves for a map of your own before you have trained anything. It knows ProcTHOR's rates, as far as the catalogue has
+them (`mrtask.homes.catalogue`); names that are not in the catalogue get the rates of similar names.
 """
 
 from functools import cache
@@ -14,7 +14,7 @@ from mrtask.likelihood.rows import TRIPLE
 from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 CONTAINERS_OF_A_KIND = 100
-"""What each (container type, room type) counts for: the catalogue has the rates, not the numbers behind them."""
+"""The weight of each (container type, room type): the catalogue has the rates, not the counts behind them."""
 
 
 def catalogue_triples() -> pd.DataFrame:
@@ -35,5 +35,5 @@ def catalogue_triples() -> pd.DataFrame:
 
 @cache
 def catalogue_model(cache_dir: Path | None = None) -> SimilarityModel:
-    """The model; the first call embeds some hundred names (seconds), which ``cache_dir`` keeps."""
+    """Return the model; the first call embeds a few hundred names (seconds), which ``cache_dir`` keeps."""
     return train_similarity(catalogue_triples(), cache_dir=cache_dir)

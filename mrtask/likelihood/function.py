@@ -1,4 +1,4 @@
-"""A likelihood of a user's own: any function of three names."""
+"""The user's own likelihood: any function of three names."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from mrtask.likelihood.rows import TRIPLE
 class FunctionModel:
     """``function(object, container, room)`` is the probability that such a container holds the object.
 
-    It is asked once for each distinct triple, in the order in which they come.
+    It is called once for each distinct triple, in order of appearance.
     """
 
     function: Callable[[str, str, str], float]
@@ -31,7 +31,7 @@ class FunctionModel:
         """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``.
 
         Raises:
-            InputError: the function gave something that is no probability.
+            InputError: the function returned something that is not a probability.
         """
         check_names(names)
         known: dict[tuple[str, str, str], float] = {}

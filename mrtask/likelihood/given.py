@@ -1,7 +1,7 @@
-"""Which likelihoods planners are given, and how wrong on purpose: to see what an error of the model costs.
+"""Choose the likelihoods that planners see, wrong on purpose if wanted, to measure what a model's errors cost.
 
-A run gives them the model's own. The true ones (`mrtask.likelihood.truth`) show what a better model could save;
-likelihoods mixed with knowing nothing, or with noise, how much a worse one costs.
+By default planners see the model's own. The true likelihoods (`mrtask.likelihood.truth`) show what a better model could
+save; likelihoods mixed with ignorance or noise show what a worse one costs.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ SOURCES = ("model", "truth")
 
 @dataclass(frozen=True)
 class GivenOptions:
-    """What planners are given in place of the model's likelihoods; by default these themselves.
+    """What planners see in place of the model's likelihoods; by default the model's.
 
     ``uniform_mix``: this share of each likelihood is the mean over all containers of the home; with 1, planners know
-    how often an object lies anywhere, and nothing of where. ``noise_sd``: the standard deviation, in log odds, of an
+    how common an object is, but not where it lies. ``noise_sd``: the standard deviation, in log odds, of an
     error that is the same for all containers of a kind.
     """
 
@@ -38,7 +38,7 @@ class GivenOptions:
 
 
 def given_likelihood(likelihood: Floats, kinds: Sequence[tuple[str, str]], options: GivenOptions, seed: int) -> Floats:
-    """What planners are given for ``likelihood [C, O]`` of containers of these C ``kinds``: mixed first, then noisy.
+    """Return what planners see for ``likelihood [C, O]`` of containers of these C ``kinds``: first mixed, then noisy.
 
     The noise of an object does not depend on which objects come after it.
     """

@@ -20,7 +20,7 @@ from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What a model is trained on: triples with ``positives`` and ``count``, and how; ``tell`` says each long step."""
+    """What a model is trained on: triples with ``positives`` and ``count``; ``tell`` announces each long step."""
 
     train: pd.DataFrame
     validation: pd.DataFrame
@@ -104,10 +104,10 @@ KINDS: Mapping[str, Kind] = {
 
 
 def load_model(folder: Path, cache_dir: Path | None = None) -> LikelihoodModel:
-    """The model stored in a folder, of whatever kind; ``cache_dir`` keeps the embeddings of names (``embed_names``).
+    """Load a stored model of whatever kind; ``cache_dir`` keeps the embeddings of names (``embed_names``).
 
     Raises:
-        ModelError: there is none, it is damaged, or of a kind that this version does not know.
+        ModelError: the model is missing, damaged, or of a kind that this version does not know.
     """
     description = read_description(folder)
     kind = description["kind"]

@@ -22,7 +22,7 @@ FORMAT_VERSION = 1
 DESCRIPTION_FILE = "model.json"
 COUNTS_FILE = "counts.csv"
 PROB_FLOOR = 1e-6
-"""No model is ever surer than this, so that log loss and a belief's normalisation stay finite."""
+"""No model is closer to certainty than this, so that log loss and a belief's normalisation stay finite."""
 
 
 class LikelihoodModel(Protocol):

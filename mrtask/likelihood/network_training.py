@@ -230,7 +230,7 @@ class _Run:
 
 
 def _log_loss(logits: Tensor, positives: Tensor, count: Tensor) -> float:
-    """Mean log loss of the rows; NaN where there are none."""
+    """Return the mean log loss of the rows; NaN without rows."""
     if not len(count):
         return float("nan")
     summed = weighted_loss(logits.squeeze(1).double(), positives.double(), count.double())
@@ -270,7 +270,7 @@ def _fingerprint(
 
 
 def find_device(name: str) -> torch.device:
-    """The device of that name; ``auto`` is a GPU where there is one.
+    """Return the device of that name; ``auto`` is a GPU if there is one.
 
     Raises:
         InputError: this machine, or this torch, does not have it.

@@ -56,7 +56,7 @@ def label_rows(home: Home, objects: Sequence[str]) -> pd.DataFrame:
 
 
 def count_triples(homes: Sequence[Home], about: Sequence[str] | None = None) -> pd.DataFrame:
-    """The `distinct_triples` of the homes' rows, without making these; ``about``: the objects, by default all there."""
+    """The `distinct_triples` of the homes' rows, without making the rows; ``about``: the objects, by default all."""
     objects = {name: index for index, name in enumerate(sorted(vocabulary(homes) if about is None else about))}
     kinds = {kind: index for index, kind in enumerate(sorted({k for home in homes for k in home.container_kinds()}))}
     positives, count = np.zeros((len(objects), len(kinds)), dtype=np.int64), np.zeros(len(kinds), dtype=np.int64)

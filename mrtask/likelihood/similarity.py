@@ -1,4 +1,4 @@
-"""What is known of like names: counts where there are counts, and where there are none, those of similar names.
+"""Counts where training has them, and elsewhere the counts of similar names.
 
 A prior for any names, seen or not, is a logistic regression on four numbers: how often anything lies in this kind of
 container, how often objects of similar names do, and how similar the object's name is to the container's and to the

@@ -1,4 +1,4 @@
-"""Every likelihood that an evaluation needs, scored in one batch beforehand and small enough to send to each worker."""
+"""All likelihoods that an evaluation needs, scored in one batch beforehand; small enough to send to each worker."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class LikelihoodTable:
 
 
 def build_table(model: LikelihoodModel, homes: Iterable[Home], extra_objects: Iterable[str] = ()) -> LikelihoodTable:
-    """The table of all kinds of containers in the homes by all their objects and ``extra_objects``, one prediction."""
+    """Return the table of all container kinds in the homes by all objects and ``extra_objects``, in one prediction."""
     homes = list(homes)
     kinds = tuple(sorted({kind for home in homes for kind in home.container_kinds()}))
     objects = tuple(sorted({*vocabulary(homes), *extra_objects}))

@@ -74,9 +74,9 @@ def fit(
 def fit_on_homes(
     train: Iterable[Home], validation: Iterable[Home] = (), options: TrainingOptions | None = None
 ) -> LikelihoodModel:
-    """A model that has learned from homes; by default the frequency table, which needs neither torch nor embeddings.
+    """Train a model on homes; by default the frequency table, which needs neither torch nor embeddings.
 
-    The ``validation`` homes stop networks and choose the smoothing of counts. Other kinds:
+    The ``validation`` homes decide when networks stop, and the smoothing of counts. Other kinds:
     ``TrainingOptions(kind="similarity")``, with the extra ``mrtask[train]`` installed.
     """
     options = options or TrainingOptions(kind="frequency")

@@ -1,8 +1,8 @@
-"""The true likelihoods of homes: what a model that made no error would say of an object, a container and a room.
+"""The true likelihoods of homes: what a model without errors would say of an object, a container and a room.
 
-Homes whose contents were drawn from the catalogue have them. For all others the best that can be had are the counts of
-the very homes that planners are evaluated on: no model could know these, and where there are few homes, they know a
-little of what is in each.
+Homes whose contents were drawn from the catalogue have them. For all others the best substitute is the counts in the
+very homes that planners are evaluated on: no model could know these, and with few homes they reveal a little of what is
+in each.
 """
 
 from collections.abc import Sequence

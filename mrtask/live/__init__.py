@@ -1,1 +1,1 @@
-"""A team of real robots: events in, orders out, by the logic that simulated episodes have too."""
+"""A team of real robots: events in, orders out, by the same logic as in simulated episodes."""

@@ -1,4 +1,4 @@
-"""A map on which some ways are blocked: a shut door, a place that nobody gets past."""
+"""Maps on which some ways are blocked, by a shut door or by a place that no robot gets past."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,10 +21,10 @@ class Barrier:
 
 
 def barred_map(home_map: HomeMap, barriers: Sequence[Barrier]) -> HomeMap:
-    """The map without the cells in the barriers; a container whose access cell is blocked cannot be reached.
+    """Return the map without the cells in the barriers; a container whose access cell is blocked cannot be reached.
 
-    Unlike a home's own map it may have several regions. Blocking everything leaves the map as it is: a robot has to be
-    somewhere.
+    Unlike a home's own map, the result may have several regions. If the barriers block everything, the map stays as it
+    is: a robot has to be somewhere.
     """
     free = home_map.free.copy()
     rows, cols = np.nonzero(free)

@@ -1,8 +1,8 @@
-"""What an event means now, whatever order events come in.
+"""Handle events, in whatever order they come.
 
-A search reported before the arrival implies it, a late or repeated report changes nothing, what was seen is kept
-whoever saw it, and of two sights of one object the later counts. Each function takes in one kind of event, says why it
-is `Refused`, or gives a note to the sender.
+A search reported before the arrival implies the arrival, a late or repeated report changes nothing, what was seen is
+kept whoever saw it, and of two sightings of one object the later counts. Each function handles one kind of event: it
+raises `Refused` with the reason, or returns a note to the sender, or None.
 """
 
 import re
@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.acts import ActKind
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
-from mrtask.execution.robot import LOST, Robot
-from mrtask.execution.scenario import free_cell_near
+from mrtask.execution.robot import Robot
 from mrtask.live import messages as m
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.orders import doing
@@ -31,10 +32,10 @@ def _pose(live: LiveState, event: m.Pose) -> str | None:
     if event.time_s < live.heard_s[number]:
         raise Refused(f"a later pose of {event.robot} is known, of {live.heard_s[number]:g} s")
     position = live.position(event.x_m, event.y_m)
-    if robot.mode == "move" and not np.isfinite(position.distances_m(live.team.home_map)[robot.assignment.container]):
+    if robot.moving and not robot.can_reach(robot.assignment.container, position):
         raise Refused(f"there is no way from there to {live.team.containers[robot.assignment.container]}")
     live.heard_s[number] = event.time_s
-    live.team.is_at(robot, position)
+    robot.see_at(position, live.team.time_s)
     return None
 
 
@@ -50,7 +51,7 @@ def _arrived(live: LiveState, event: m.Arrived) -> str | None:
 def _navigation_failed(live: LiveState, event: m.NavigationFailed) -> str | None:
     robot, container = live.robot(event.robot), live.container(event.container)
     _check_under_way(live, event, robot, container)
-    live.team.stop(robot)
+    robot.stop(live.team.time_s)
     live.team.failed(container, -1)
     live.order_ended(event.robot)
     live.surprise = True
@@ -63,19 +64,23 @@ def _check_under_way(live: LiveState, event: m.Arrived | m.NavigationFailed, rob
 
 
 def _is_under_way(robot: Robot, container: int) -> bool:
-    return robot.mode == "move" and robot.assignment.container == container
+    return robot.moving and robot.assignment.container == container
+
+
+def _searches(robot: Robot, container: int) -> bool:
+    return robot.act.kind is ActKind.SEARCH and robot.place == container
 
 
 def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
     robot, container = live.team.robots[live.number(event.robot)], live.container(event.container)
     arriving = _is_under_way(robot, container)
-    searching = arriving or (robot.mode == "search" and robot.place == container)
+    searching = arriving or _searches(robot, container)
     if event.status == "FAILED":
         if not searching:
             raise Refused(f"{event.robot} is not searching {event.container}: {doing(live, robot)}")
         if arriving:
             live.team.arrived(robot)
-        if robot.mode == "search":
+        if robot.act.kind is ActKind.SEARCH:
             live.team.search_ended(robot, None)
         live.order_ended(event.robot)
         live.surprise = True
@@ -87,7 +92,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
     if arriving:
         live.team.arrived(robot)
     seen = _detections(live, event)
-    if robot.mode == "search" and robot.place == container:
+    if _searches(robot, container):
         live.team.search_ended(robot, seen, fresh)
     else:
         live.surprise |= live.team.learned(container, seen, fresh) and not searching
@@ -98,7 +103,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
 
 
 def _detections(live: LiveState, event: m.SearchEnded) -> NDArray[np.float64]:
-    """[O] the confidence with which each task object was detected; a place to which something is delivered is there."""
+    """Return [O] the confidence in each detected task object; a place of delivery counts as detected."""
     seen = np.zeros(len(live.setup.task.propositions))
     for one in event.objects:
         name, confidence = (one, 1.0) if isinstance(one, str) else (one.object, one.confidence)
@@ -124,18 +129,19 @@ def _object_seen(live: LiveState, event: m.ObjectSeen) -> str | None:
 def _interaction_ended(live: LiveState, event: m.InteractionEnded) -> str | None:
     number, container, obj = live.number(event.robot), live.container(event.container), live.object(event.object)
     team, robot = live.team, live.team.robots[number]
-    if number in live.ended or robot.obj != obj or robot.place != container or robot.mode not in ("interact", LOST):
+    acted = robot.act.obj == obj and robot.place == container and (robot.lost or robot.act.kind is ActKind.INTERACT)
+    if number in live.ended or not acted:
         raise Refused(f"{event.robot} was not to interact with {event.object}: {doing(live, robot)}")
     if event.status == "FINISHED":
-        if robot.mode == LOST:
+        if robot.lost:
             team.interactions_ended([robot])
-            robot.mode = LOST
+            robot.lose(team.time_s)
             live.surprise = True
             return "done before the robot was lost"
         live.ended.append(number)
         live.order_ended(event.robot)
         return None
-    if robot.mode == LOST:
+    if robot.lost:
         raise Refused(f"robot {event.robot!r} is lost")
     if event.gone:
         live.seen_s[container, obj] = max(event.time_s, live.seen_s[container, obj])
@@ -159,7 +165,7 @@ def _robot_joined(live: LiveState, event: m.RobotJoined) -> str | None:
     position = live.position(event.x_m, event.y_m)
     if event.robot in live.names:
         number = live.number(event.robot)
-        if live.team.robots[number].mode != LOST:
+        if not live.team.robots[number].lost:
             raise Refused(f"robot {event.robot!r} is in the team already")
         live.team.join(position, live.team.robots[number])
     else:
@@ -206,11 +212,11 @@ def _barrier(live: LiveState, event: m.RouteBlocked | m.RouteCleared) -> tuple[s
 
 
 def _use_barriers(live: LiveState) -> None:
-    """Ways by the map without what is blocked; robots under way go on by it from where they are."""
+    """Drop what is blocked from the map; robots under way go on from where they are."""
     home_map = barred_map(live.setup.home_map, list(live.barriers.values()))
     starts = {}
     for number in live.present:
-        position = live.team.position_of(live.team.robots[number])
+        position = live.team.robots[number].position_at(live.team.time_s)
         if not (home_map.free[position.back] and home_map.free[position.ahead]):
             position = Position.at(free_cell_near(home_map, position.point(home_map), np.inf))
         starts[number] = position
@@ -219,7 +225,7 @@ def _use_barriers(live: LiveState) -> None:
     live.surprise = True
 
 
-TAKES_IN: Mapping[str, Callable[[LiveState, Any], str | None]] = {
+HANDLERS: Mapping[str, Callable[[LiveState, Any], str | None]] = {
     "pose": _pose,
     "arrived": _arrived,
     "navigation_failed": _navigation_failed,
@@ -231,4 +237,4 @@ TAKES_IN: Mapping[str, Callable[[LiveState, Any], str | None]] = {
     "route_blocked": _route_blocked,
     "route_cleared": _route_cleared,
 }
-"""What takes in an event, by its ``type``."""
+"""The function that handles an event, by its ``type``."""

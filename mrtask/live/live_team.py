@@ -1,7 +1,7 @@
 """A team of real robots: events in, orders out.
 
-`LiveTeam` takes in what its robots report (`mrtask.live.events`), lets the planner decide where a robot became free or
-something unexpected happened, and says what changed (`mrtask.live.orders`).
+`LiveTeam` handles what its robots report (`mrtask.live.events`), lets the planner decide when a robot became free or
+something unexpected happened, and gives the orders that changed (`mrtask.live.orders`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,29 +10,28 @@ from typing import Any
 import numpy as np
 
 from mrtask.errors import InputError
-from mrtask.execution.robot import LOST
 from mrtask.execution.trials import key_seed
 from mrtask.homes.home import Point
 from mrtask.live import messages as m
-from mrtask.live.events import TAKES_IN
+from mrtask.live.events import HANDLERS
 from mrtask.live.orders import order_key, order_of, task_state
 from mrtask.live.state import LiveSetup, LiveState, Refused
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT, Assignment
 
 MAX_AHEAD_S = 86_400.0
-"""An event that lies further ahead of all before it has a wrong clock."""
+"""An event this far ahead of all earlier ones has a wrong clock."""
 IDS_KEPT = 100_000
 
 
 class LiveTeam(LiveState):
-    """A `LiveState` that takes in events and decides.
+    """A `LiveState` that handles events and decides.
 
     Args:
         robots: name -> where it is, in metres.
 
     Raises:
-        InputError: as `LiveState`, or the planner needs to know the contents.
+        InputError: where `LiveState` raises it, or a planner that needs to know the contents.
     """
 
     def __init__(self, setup: LiveSetup, robots: Mapping[str, Point]) -> None:
@@ -42,15 +41,15 @@ class LiveTeam(LiveState):
             raise InputError(f"planner {setup.planner!r} knows all contents, which nobody does here; give another")
 
     def begin(self) -> list[m.Outgoing]:
-        """The first decision, or after a restart the next."""
+        """Make the first decision, or the next one after a restart."""
         return self._go_on(decide=True)
 
     def handle(self, events: Sequence[Any], *, more: bool = False) -> list[m.Outgoing]:
-        """Takes in events of one instant.
+        """Handle the events of one instant.
 
         Args:
-            events: of the models in `mrtask.live.messages.Event`.
-            more: another batch of this instant follows, so nobody is sent anywhere yet.
+            events: models of `mrtask.live.messages.Event`.
+            more: whether another batch of this instant follows, so that no robot is sent anywhere yet.
 
         Returns:
             One `Answer` for each event, then the orders that changed, and the task's state if anything changed.
@@ -61,7 +60,7 @@ class LiveTeam(LiveState):
         return [*answers, *self._go_on(decide=not more)]
 
     def present_orders(self) -> list[m.Outgoing]:
-        """The orders in force, as if they were given now."""
+        """Return the orders in force, as if they were given now."""
         return [order_of(self, number) for number in self.present]
 
     def _answer(self, event: Any) -> m.Answer:
@@ -72,7 +71,7 @@ class LiveTeam(LiveState):
             if event.time_s > before_s + MAX_AHEAD_S:
                 raise Refused(f"its time_s is more than {MAX_AHEAD_S:g} s ahead of all before; is its clock right?")
             self.team.time_s = max(before_s, event.time_s)
-            note = TAKES_IN[event.type](self, event)
+            note = HANDLERS[event.type](self, event)
         except Refused as refused:
             self.team.time_s = before_s
             return m.Answer(event=event.id, status="rejected", reason=str(refused))
@@ -89,10 +88,10 @@ class LiveTeam(LiveState):
         team.start_interactions()
         if decide:
             team.release()
-            freed = any(team.robots[number].mode == "free" for number in self.busy)
+            freed = any(team.robots[number].free for number in self.busy)
             if (freed or self.surprise) and not team.accepted:
                 self._decide()
-            self.busy = {number for number, robot in enumerate(team.robots) if robot.mode not in ("free", LOST)}
+            self.busy = {number for number, robot in enumerate(team.robots) if not (robot.free or robot.lost)}
             self.surprise = False
         told, self.told = self.told, {}
         orders: list[m.Outgoing] = []
@@ -100,7 +99,7 @@ class LiveTeam(LiveState):
             self.told[name] = order_key(self, robot)
             if self.told[name] != told.get(name):
                 self.orders += 1
-                if robot.mode != LOST:
+                if not robot.lost:
                     orders.append(order_of(self, number))
         return [*orders, task_state(self)]
 

@@ -1,9 +1,10 @@
 """The messages between a live team and its robots, as pydantic models; `schemas` gives JSON Schema for each.
 
-Meant to be easy to map on what fleets speak. An order is one action of one robot with a route, as the nodes of a VDA
-5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's NavigateToPose:
-SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the one before.
-Every event has an ``id`` of the sender's own and the time at which it happened, in seconds on one clock for all.
+The messages are easy to map to what fleets speak. An order is one action of one robot with a route, like the nodes of
+a VDA 5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's
+NavigateToPose: SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the
+previous one. Every event has an ``id`` that the sender chose and the time at which it happened, in seconds on one clock
+for all.
 """
 
 from typing import Annotated, Any, Literal, Self, get_args

@@ -1,7 +1,7 @@
-"""A live team behind lines of JSON: whatever comes in is answered, nothing that comes in can stop it.
+"""A live team behind lines of JSON: every input gets an answer, and no input can stop the team.
 
-Each line is one message (`mrtask.live.messages`). After every event that was taken in the state is saved, before
-anything is said, so that what was answered is never lost; every message in and out can be logged for `replay`.
+Each line is one message (`mrtask.live.messages`). The state is saved after every accepted event and before the answer,
+so that what was answered is never lost. Every message in and out can be logged for `replay`.
 """
 
 import json
@@ -26,7 +26,7 @@ MAX_REASON = 300
 
 
 class LiveSession:
-    """A live team with its state's file and its log; one message at a time."""
+    """A live team with its state file and its log; it takes one message at a time."""
 
     def __init__(self, live: LiveTeam, state: Path | None = None, log: Path | None = None) -> None:
         self.live, self._state, self._log = live, state, log
@@ -35,7 +35,7 @@ class LiveSession:
                 path.parent.mkdir(parents=True, exist_ok=True)
 
     def begin(self) -> list[str]:
-        """What to say first: `Welcome`, all orders in force, the task's state."""
+        """Return the first lines: `Welcome`, all orders in force, the task's state."""
         news = self.live.begin()
         self._keep()
         lines = self._lines([welcome(self.live), *self.live.present_orders(), news[-1]])
@@ -43,10 +43,10 @@ class LiveSession:
         return lines
 
     def receive(self, text: str | bytes) -> tuple[list[str], list[str]]:
-        """Takes in one message.
+        """Handle one message.
 
         Returns:
-            Answers, for the sender, and orders and task states, for everybody who listens.
+            Answers for the sender, and orders and task states for all listeners.
         """
         began_s = time.perf_counter()
         try:
@@ -83,7 +83,7 @@ class LiveSession:
 
 
 class Unreadable(Exception):
-    """A line that is no message; ``event``: the id in it, where one can be made out."""
+    """A line that is not a message; ``event`` is its id, if it has a readable one."""
 
     def __init__(self, reason: str, event: str | None = None) -> None:
         super().__init__(reason[:MAX_REASON])
@@ -91,10 +91,10 @@ class Unreadable(Exception):
 
 
 def parse(text: str | bytes) -> m.Message:
-    """The message of a line.
+    """Parse the message in a line.
 
     Raises:
-        Unreadable: it is too long, too deeply nested, no JSON, or none of the messages.
+        Unreadable: the line is too long, too deeply nested, not JSON, or none of the messages.
     """
     raw = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     if len(raw) > MAX_BYTES:
@@ -111,21 +111,21 @@ def parse(text: str | bytes) -> m.Message:
 
 
 def replay(setup: LiveSetup, robots: dict[str, Point], log: Path) -> LiveTeam:
-    """The live team that a log leads to, decided anew: the same where the planner has no time limit.
+    """Decide a log's episode again and return its live team: the same one, if the planner has no time limit.
 
     Raises:
-        InputError: the log is damaged, or the planner now decides otherwise than it says.
+        InputError: the log is damaged, or the planner now decides differently.
     """
     session = LiveSession(LiveTeam(setup, robots))
     for number, line in enumerate(log.read_text(encoding="utf-8").splitlines(), 1):
         entry = json.loads(line)
         if entry["kind"] == "begin":
             if session.begin() != entry["lines"]:
-                raise InputError(f"{log.name}, line {number}: it begins otherwise; was it made by another setup?")
+                raise InputError(f"{log.name}, line {number}: it begins differently; was the log of another setup?")
         elif entry["kind"] == "in":
             answers, news = session.receive(entry["lines"][0])
             if answers + news != entry["out"]:
-                raise InputError(f"{log.name}, line {number}: the planner decides otherwise than the log says")
+                raise InputError(f"{log.name}, line {number}: the planner decides differently from the log")
     return session.live
 
 

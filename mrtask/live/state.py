@@ -1,4 +1,4 @@
-"""What a live team knows: the simulated episode's `TeamState`, and what was heard from its robots beside it."""
+"""What a live team knows: a `TeamState` as in simulated episodes, and what its robots reported."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from mrtask.errors import InputError
 from mrtask.execution.belief import prior_belief
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
-from mrtask.execution.robot import LOST, Robot
-from mrtask.execution.scenario import free_cell_near
+from mrtask.execution.robot import Robot
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
@@ -22,7 +22,7 @@ from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.words import ReadTask
 
 POSE_REACH_M = 1.0
-"""A robot may report to be this far off the free floor."""
+"""A robot may report a place this far off the free floor."""
 NAMES_SHOWN = 20
 
 
@@ -32,7 +32,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True, eq=False)
 class LiveSetup:
-    """What does not change while a live team works: where, what for, by which planner."""
+    """What does not change while a live team works: home, task, likelihoods and planner."""
 
     home: Home
     home_map: HomeMap
@@ -48,13 +48,13 @@ class LiveSetup:
 
 
 class LiveState:
-    """All that a live team keeps; `mrtask.live.store` saves and restores it.
+    """Everything that a live team keeps; `mrtask.live.store` saves and restores it.
 
     Args:
         robots: name -> where it is, in metres.
 
     Raises:
-        InputError: there is no robot, or one's place is off the free floor.
+        InputError: no robots, or a robot off the free floor.
     """
 
     def __init__(self, setup: LiveSetup, robots: Mapping[str, Point]) -> None:
@@ -76,23 +76,23 @@ class LiveState:
         self.decisions = self.orders = self.map_version = 0
         self.barriers: dict[str, Barrier] = {}
         self.ids: dict[str, None] = {}
-        """Of the events that were taken in, the last at the end."""
+        """The ids of the accepted events, the last one at the end."""
         self.seen_s = np.full(setup.likelihood.shape, -np.inf)
-        """[C, O] when it was last seen whether the object is there."""
+        """[C, O] when the team last saw whether the object is there."""
         self.heard_s = [0.0] * len(self.names)
         """[R] the time of the last pose."""
         self.told: dict[str, tuple[Any, ...]] = {}
-        """Robot -> what its last order was made from."""
+        """Robot -> the key of its last order."""
         self.busy: set[int] = set()
         """The robots that were not free after the last decision."""
         self.ended: list[int] = []
-        """The robots whose interactions ended in this instant."""
+        """The robots whose interactions ended at this instant."""
         self.surprise = True
-        """Whether anything unexpected calls for a decision although no robot became free."""
+        """Whether something unexpected calls for a decision although no robot became free."""
 
     @property
     def last_event(self) -> str | None:
-        """The id of the last event that was taken in."""
+        """The id of the last accepted event."""
         return next(reversed(self.ids), None)
 
     @property
@@ -101,41 +101,41 @@ class LiveState:
         return self.team.active
 
     def number(self, name: str) -> int:
-        """A robot's number; raises `Refused`, as all of these, where there is none."""
+        """Return a robot's number; like the lookups below, raise `Refused` for an unknown name."""
         if name not in self.names:
             raise Refused(f"no robot {name!r}; there are: {_listed(self.names)}; robot_joined adds one")
         return self.names.index(name)
 
     def robot(self, name: str) -> Robot:
-        """A robot that is not lost."""
+        """Return a robot that is not lost."""
         robot = self.team.robots[self.number(name)]
-        if robot.mode == LOST:
+        if robot.lost:
             raise Refused(f"robot {name!r} is lost; robot_joined brings it back")
         return robot
 
     def container(self, name: str) -> int:
-        """A container's index."""
+        """Return a container's index."""
         if name not in self.containers:
             raise Refused(f"no container {name!r}; there are: {_listed(self.containers)}")
         return self.containers[name]
 
     def order_ended(self, robot: str) -> None:
-        """The robot has ended what it was ordered to: the same again is a new order."""
+        """Note that the robot has ended its order: the same again is a new order."""
         self.told.pop(robot, None)
 
     def object(self, name: str) -> int | None:
-        """A task object's index, None for any other object."""
+        """Return a task object's index, None for any other object."""
         return self.objects.get(name_to_text(name))
 
     def position(self, x_m: float, y_m: float) -> Position:
-        """Where on the map a robot is that says to be there."""
+        """Return the position on the map of a robot that reports this place."""
         try:
             return Position.at(free_cell_near(self.team.home_map, (x_m, y_m), POSE_REACH_M))
         except InputError as error:
             raise Refused(str(error)) from None
 
     def door(self, name: str) -> tuple[Point, Point]:
-        """The two ends of a door."""
+        """Return the two ends of a door."""
         doors = {door.id: (door.start, door.end) for door in self.setup.home.doors}
         if name not in doors:
             raise Refused(f"no door {name!r}; there are: {_listed(doors) or 'none'}")

@@ -1,19 +1,20 @@
-"""A live team on paper: its state as one versioned JSON text, from which another process goes on where it stopped.
+"""Save a live team's state as one versioned JSON text, and restore it in another process.
 
-What does not change (home, task, planner) is not in it but is named by a fingerprint, so that a state is not restored
-into another task. Routes are planned again: the same map and the same start give the same way.
+What does not change (home, task, planner) is not in the text; a fingerprint of it is, so that no state is restored into
+another task. Routes are planned again: the same map and the same start give the same route.
 """
 
 import hashlib
 import json
+from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mrtask.errors import InputError
+from mrtask.execution.acts import Act, ActKind
 from mrtask.execution.motion import Position, plan_route
-from mrtask.execution.robot import Robot
 from mrtask.execution.trace import Leg, Letter
 from mrtask.live.barriers import Barrier, barred_map
 from mrtask.live.live_team import LiveTeam
@@ -36,7 +37,7 @@ class _Robot(_Part):
     heard_s: float
     position: Position
     place: int
-    mode: str
+    mode: ActKind
     container: int
     interaction: int
     since_s: float
@@ -76,7 +77,7 @@ class _State(_Part):
 
 
 def fingerprint(setup: LiveSetup) -> str:
-    """What a saved state belongs to: the layout, the grid and the task."""
+    """Return the fingerprint of what a saved state belongs to: the layout, the grid and the task."""
     home_map = setup.home_map
     content = [
         setup.home.layout_id, home_map.resolution_m, home_map.free.shape, int(home_map.free.sum()),
@@ -86,7 +87,7 @@ def fingerprint(setup: LiveSetup) -> str:
 
 
 def save(live: LiveTeam) -> str:
-    """The state as JSON; take it between two calls of `LiveTeam.handle`."""
+    """Return the state as JSON; call this between two calls of `LiveTeam.handle`."""
     team, belief = live.team, live.team.belief
     robots = [
         _Robot(
@@ -94,15 +95,15 @@ def save(live: LiveTeam) -> str:
             heard_s=heard_s,
             position=robot.position,
             place=robot.place,
-            mode=robot.mode,
+            mode=robot.act.kind,
             container=robot.assignment.container,
             interaction=robot.assignment.interaction,
             since_s=robot.since_s,
             moved_s=robot.moved_s,
-            until_s=robot.until_s if np.isfinite(robot.until_s) else None,
+            until_s=robot.act.until_s if np.isfinite(robot.act.until_s) else None,
             under_way=robot.route is not None,
             passed=robot.passed,
-            obj=robot.obj,
+            obj=robot.act.obj,
             legs=tuple(robot.legs),
         )
         for name, heard_s, robot in zip(live.names, live.heard_s, team.robots, strict=True)
@@ -136,10 +137,10 @@ def save(live: LiveTeam) -> str:
 
 
 def restore(setup: LiveSetup, text: str) -> LiveTeam:
-    """The live team of a saved state.
+    """Return the live team of a saved state.
 
     Raises:
-        StateError: the text is damaged, of another version, or of another home or task.
+        StateError: a damaged text, or one of another version, home or task.
     """
     try:
         raw: Any = json.loads(text)
@@ -166,17 +167,15 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
     team.letters = list(state.letters)
     team.robots = [
-        Robot(
-            position=one.position,
+        replace(
+            team.new_robot(one.position),
             place=one.place,
-            mode=one.mode,
+            act=Act(one.mode, float("inf") if one.until_s is None else one.until_s, one.obj),
             assignment=Assignment(one.container, one.interaction),
             since_s=one.since_s,
             moved_s=one.moved_s,
-            until_s=float("inf") if one.until_s is None else one.until_s,
             route=plan_route(team.home_map, one.position, one.container) if one.under_way else None,
             passed=one.passed,
-            obj=one.obj,
             legs=list(one.legs),
         )
         for one in state.robots

@@ -1,4 +1,4 @@
-"""The card of a planner's score: what to quote, beside ours on the same trials."""
+"""The card of a planner's score: the figures to quote, beside those of our planners on the same trials."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,14 +11,14 @@ from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 BASELINES = ("nonlearned_myopic", "learned_myopic")
 PROFILE_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0)
-"""A planner's profile: on which share of the trials its cost is at most so many times the best of all planners."""
+"""The factors of a performance profile: the share of trials on which a cost is at most this many times the best."""
 SAME_COST = 1 + 1e-9
 
 
 def render_card(
     planner: str, options: Mapping[str, Any], episodes: pd.DataFrame, recorded: pd.DataFrame, suite: str
 ) -> str:
-    """The card as text.
+    """Return the card as text.
 
     Args:
         episodes: the planner's rows, `mrtask.suite.score.COLUMNS`.
@@ -28,9 +28,9 @@ def render_card(
     costs = paired_costs(together)
     profiles = _profiles(costs)
     names = planners_in_order(costs.columns)
-    given = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
+    chosen = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     lines = [
-        f"{planner} ({given}) on {suite}: {len(episodes)} trials",
+        f"{planner} ({chosen}) on {suite}: {len(episodes)} trials",
         "",
         f"{'':22} {'finished':>8} {'mean s':>8}  {'% below nonlearned':>20}  {'% below learned':>20}",
     ]
@@ -61,7 +61,7 @@ def render_card(
 
 
 def planning_text(episodes: pd.DataFrame) -> str:
-    """How long planning took; of this machine, hence no part of the score."""
+    """Return how long planning took; it depends on the machine, so it is not part of the score."""
     decisions = episodes["decisions"].sum()
     mean_ms = 1000 * episodes["planning_s"].sum() / max(decisions, 1)
     worst_ms = 1000 * (episodes["planning_s"] / episodes["decisions"].clip(lower=1)).max()
@@ -90,7 +90,7 @@ def _text(estimate: Estimate) -> str:
 
 
 def _profiles(costs: pd.DataFrame) -> dict[str, list[float]]:
-    """Performance profiles (Dolan and Moré 2002) of all planners that do not know where everything is."""
+    """Return performance profiles (Dolan and Moré 2002) of all planners that do not know where everything is."""
     fair = [name for name in costs.columns if planner_role(name) is not Role.BOUND]
     best = costs[fair].min(axis=1)
     ratios = costs[fair].div(best.where(best > 0), axis=0).where(best > 0, costs[fair].add(1.0))

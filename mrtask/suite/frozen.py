@@ -1,8 +1,9 @@
 """A frozen suite: homes, trials, likelihoods and travel lengths in one file, known by its sha256.
 
-What a score depends on besides the planner is in the file, except how maps are made and episodes are simulated. So the
-file also holds how long the ways between all containers are: where this version of mrtask maps a home otherwise, the
-suite is refused instead of giving scores that compare with nobody's. ``benchmarks/freeze_suite.py`` made it.
+The file holds everything that a score depends on except the planner, the making of maps and the simulation of episodes.
+To guard against changed maps, it also holds the lengths of the ways between all containers: if this version of mrtask
+maps a home differently, the suite is refused, because its scores would be comparable with no others.
+``benchmarks/freeze_suite.py`` made the file.
 """
 
 import gzip
@@ -38,7 +39,7 @@ MM_PER_M = 1000.0
 
 
 class SuiteError(InputError):
-    """A suite that is unknown or damaged, or whose homes this version maps otherwise."""
+    """A suite that is unknown or damaged, or whose homes this version maps differently."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +51,10 @@ class Suite:
     trials: tuple[Trial, ...]
     table: LikelihoodTable
     travel_mm: Mapping[str, NDArray[np.int64]]
-    """Home id -> [C, C] lengths of the ways between containers, `UNREACHABLE` where there is none."""
+    """Home id -> [C, C] lengths of the ways between containers, `UNREACHABLE` where there is no way."""
 
     def map_of(self, home_id: str, cache_dir: Path | None = None) -> HomeMap:
-        """The home's map; raises `SuiteError` where it is not the one that the suite was frozen with."""
+        """Return the home's map; raise `SuiteError` if it is not the one that the suite was frozen with."""
         home_map = cached_map(self.homes[home_id], cache_dir)
         frozen, found = self.travel_mm[home_id], home_map.travel_m
         there = frozen != UNREACHABLE
@@ -70,7 +71,7 @@ class Suite:
 
 @lru_cache(maxsize=2)
 def load_suite(name: str = DEFAULT_SUITE) -> Suite:
-    """The suite of that name, checked by its sha256."""
+    """Return the suite of that name, checked by its sha256."""
     if name not in SUITES:
         raise SuiteError(f"unknown suite {name!r}; allowed: {', '.join(SUITES)}")
     with as_file(files("mrtask.suite").joinpath(f"{name}.json.gz")) as path:
@@ -81,7 +82,7 @@ def load_suite(name: str = DEFAULT_SUITE) -> Suite:
 
 
 def read_suite(path: Path) -> Suite:
-    """A suite's file."""
+    """Read a suite's file."""
     raw = json.loads(gzip.decompress(path.read_bytes()))
     homes = TypeAdapter(tuple[Home, ...]).validate_python(raw["homes"])
     probs = np.array(raw["likelihood"]["probs"], dtype=np.float64)
@@ -97,7 +98,7 @@ def read_suite(path: Path) -> Suite:
 
 
 def write_suite(path: Path, name: str, homes: Sequence[Home], trials: Sequence[Trial], table: LikelihoodTable) -> str:
-    """Freezes a suite into a file and returns its sha256. Equal content, equal file."""
+    """Freeze a suite into a file and return its sha256. Equal content gives an equal file."""
     content: dict[str, Any] = {
         "name": name,
         "homes": [asdict(home) for home in homes],

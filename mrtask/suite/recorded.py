@@ -1,4 +1,4 @@
-"""Our planners' episodes on a suite, recorded, so that scoring a planner does not run all the others too.
+"""Recorded episodes of our planners on a suite, so that scoring a planner does not have to run the others.
 
 ``benchmarks/record_scores.py`` makes them; a test runs some of them again and compares.
 """
@@ -20,11 +20,11 @@ PLANNERS: dict[str, dict[str, Any]] = {
     "pouct": {"samples": 1000},
     "known": {"samples": 1000},
 }
-"""What is recorded, and with which options."""
+"""The recorded planners and their options."""
 
 
 def recorded_episodes(suite: Suite) -> pd.DataFrame:
-    """The recorded rows of a suite: ``trial_id, planner, status, cost_s, size_class, robots``."""
+    """Return the recorded rows of a suite: ``trial_id, planner, status, cost_s, size_class, robots``."""
     text = files("mrtask.suite").joinpath(file_name(suite.name)).read_text(encoding="utf-8")
     costs = pd.read_csv(StringIO(text), comment="#")
     rows = costs.melt("trial_id", var_name="planner", value_name="cost_s")
@@ -37,11 +37,11 @@ def recorded_episodes(suite: Suite) -> pd.DataFrame:
 
 
 def recorded_text(costs: pd.DataFrame, version: str) -> str:
-    """The file's content from costs in seconds, trials x planners; costs keep all their digits."""
+    """Return the file's content for costs in seconds, trials x planners; costs keep all their digits."""
     head = f"# recorded with mrtask {version}; options: {json.dumps(PLANNERS)}\n"
     return head + costs[list(PLANNERS)].to_csv(float_format="%.17g", lineterminator="\n")
 
 
 def file_name(suite: str) -> str:
-    """The recorded costs' file of a suite."""
+    """Return the file of a suite's recorded costs."""
     return f"{suite}.costs.csv"

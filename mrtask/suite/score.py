@@ -1,8 +1,8 @@
-"""Scores a planner on a frozen suite of trials and prints a card beside ours.
+"""Score a planner on a frozen suite of trials and print its card beside our planners' results.
 
     mrtask score my_lab.Cautious
     mrtask score my_lab.Cautious options='{margin_s: 2}' suite=mrtask-1 workers=8 out=card/
-    mrtask score my_lab.Cautious trials_per_cell=2            # a quick look, no score
+    mrtask score my_lab.Cautious trials_per_cell=2            # a quick look, not a score
 
 The planner is given by its import path or a name of ours (pouct, greedy, ...), its options as YAML. The scores are the
 same on any number of workers and on any machine; only planning times differ. ``out=`` keeps card.txt and episodes.csv.
@@ -41,22 +41,22 @@ USER_ERROR_EXIT = 2
 
 @dataclass(frozen=True)
 class Request:
-    """Which planner is scored, and on what."""
+    """The planner to score, and the suite."""
 
     planner: str
     options: Mapping[str, Any] = field(default_factory=dict)
     suite: str = DEFAULT_SUITE
     workers: int = 1
     trials_per_cell: int | None = None
-    """Only so many trials of each size class and team: a look, no score."""
+    """Run only this many trials of each size class and team: a quick look, not a score."""
     out: Path | None = None
 
     @staticmethod
     def parse(arguments: list[str]) -> "Request":
-        """The request of a command line; raises `InputError`."""
-        given = [argument for argument in arguments if "=" not in argument]
-        if len(given) != 1:
-            raise InputError(f"one planner is to be scored, given were {', '.join(given) or 'none'}\n{__doc__}")
+        """Read the request from a command line; raises `InputError`."""
+        names = [argument for argument in arguments if "=" not in argument]
+        if len(names) != 1:
+            raise InputError(f"give one planner to score, not {', '.join(names) or 'none'}\n{__doc__}")
         values = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
         if unknown := sorted(values.keys() - set(KEYS)):
             raise InputError(f"{unknown[0]}: no such key; allowed: {', '.join(KEYS)}")
@@ -69,7 +69,7 @@ class Request:
             raise InputError(f"options={values['options']}: must be names and values, as options='{{samples: 1000}}'")
         out = Path(values["out"]) if "out" in values else None
         return Request(
-            planner=given[0],
+            planner=names[0],
             options=options,
             suite=values.get("suite", DEFAULT_SUITE),
             workers=int(counts.get("workers", os.cpu_count() or 1)),
@@ -78,7 +78,7 @@ class Request:
         )
 
     def trial_numbers(self) -> list[int]:
-        """The places of the trials in the suite."""
+        """Return the places of the trials in the suite."""
         trials, taken = load_suite(self.suite).trials, Counter[tuple[str, int]]()
         numbers = []
         for number, trial in enumerate(trials):
@@ -90,18 +90,18 @@ class Request:
 
 
 def score_planner(request: Request, on_episode: Callable[[], None] | None = None) -> pd.DataFrame:
-    """The planner's episodes, `COLUMNS`, one row per trial in the suite's order.
+    """Run the planner; return `COLUMNS`, one row per trial in the suite's order.
 
     An exception in the planner is a row of status ``error``. The planner is made anew for each trial, so that no trial
     depends on another.
     """
     suite = load_suite(request.suite)
-    make_planner(request.planner, request.options)  # refuses what is wrong before any work
+    planner = make_planner(request.planner, request.options)  # refuses what is wrong before any work
     numbers = request.trial_numbers()
     rows: dict[int, dict[str, Any]] = {}
     first = suite.trials[0]
     # Compiled once here, so that the workers find the kernels in numba's cache.
-    warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), request.planner, request.options)
+    warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), planner)
     mark_compiled()
     if request.workers == 1:
         for number in numbers:
@@ -121,7 +121,7 @@ def score_planner(request: Request, on_episode: Callable[[], None] | None = None
 
 
 def main(arguments: list[str]) -> int:
-    """The command; returns the exit code."""
+    """Run the command; return the exit code."""
     if {"-h", "--help"} & set(arguments):
         print(__doc__)
         return 0
@@ -138,7 +138,7 @@ def main(arguments: list[str]) -> int:
         recorded = recorded[recorded["trial_id"].isin(episodes["trial_id"])]
         card = render_card(request.planner, request.options, episodes, recorded, suite.name)
         if len(episodes) < len(suite.trials):
-            card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: no score to quote."
+            card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: not a score to quote."
     except (InputError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return USER_ERROR_EXIT
@@ -158,7 +158,7 @@ def _map_cache() -> Path:
 
 
 def _seen(suite: Suite, number: int) -> tuple[Any, Any]:
-    """The map and the likelihoods of a trial."""
+    """Return the map and the likelihoods of a trial."""
     trial = suite.trials[number]
     return (
         suite.map_of(trial.home_id, _map_cache()),
@@ -178,7 +178,8 @@ def _episode(request: Request, number: int) -> dict[str, Any]:
         "planner": request.planner,
     }
     try:
-        result = run_episode(trial, suite.homes[trial.home_id], home_map, likelihood, request.planner, request.options)
+        planner = make_planner(request.planner, request.options)
+        result = run_episode(trial, suite.homes[trial.home_id], home_map, likelihood, planner, request.planner)
     except Exception as error:  # a planner's bug is its score
         print(f"{trial.trial_id}: {type(error).__name__}: {error}", file=sys.stderr)
         return row | {"status": "error", "cost_s": None, "decisions": 0, "planning_s": float("nan")}

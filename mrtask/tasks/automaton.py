@@ -19,7 +19,7 @@ from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, St
 
 MAX_STATES = 10_000
 NEVER_ACCEPTS = 2**30
-"""In ``steps_to_accept``, the sink's: larger than any number of letters, and two of them still add up in int32."""
+"""The sink's entry in ``steps_to_accept``: larger than any number of letters, and two of them still add up in int32."""
 _ROWS_PER_BLOCK = 256
 
 
@@ -38,7 +38,7 @@ class Automaton:
     accepting: Bools
     """``[Z]``"""
     sink: int
-    """The state from which acceptance cannot be reached, -1 if there is none."""
+    """The state from which acceptance cannot be reached; -1 if every state can reach it."""
     initial: int
 
     @cached_property
@@ -54,7 +54,7 @@ class Automaton:
         return _steps_to_accept(self.transitions, self.accepting)
 
     def steps_with(self, available: Bools) -> Int32s:
-        """``[Z]``: as ``steps_to_accept``, with letters of the ``available`` ``[O]`` propositions alone."""
+        """``[Z]``: like ``steps_to_accept``, but only with letters of the ``available`` ``[O]`` propositions."""
         return _steps_to_accept(self.transitions[:, available], self.accepting)
 
     @cached_property
@@ -82,7 +82,7 @@ class Automaton:
         """The state after a sequence of interactions from ``start`` (the initial state when it is not given).
 
         Raises:
-            ValueError: A letter is none of the propositions.
+            ValueError: A letter is not one of the propositions.
         """
         state = self.initial if start is None else start
         for letter in letters:

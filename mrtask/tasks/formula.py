@@ -31,7 +31,7 @@ _NEVER_COMPLETED = (
 
 
 class FormulaError(InputError):
-    """A formula that is no task: what is wrong, at which ``position`` (counted from 1), with a caret under it."""
+    """A formula that is not a task: what is wrong, and the ``position`` (counted from 1), with a caret under it."""
 
     def __init__(self, message: str, text: str, position: int) -> None:
         super().__init__(message, text, position)
@@ -46,7 +46,7 @@ class FormulaError(InputError):
 
 @dataclass(frozen=True)
 class Node:
-    """What all parts of a formula have: the ``position`` in the text that errors point at, no part of the equality."""
+    """The base of all parts of a formula: the ``position`` in the text for errors, which equality ignores."""
 
     position: int = field(default=1, compare=False, repr=False, kw_only=True)
 
@@ -127,7 +127,7 @@ def parse(text: str, propositions: Collection[str] | None = None) -> Formula:
         propositions: The object names that may occur; ``None`` allows every name.
 
     Raises:
-        FormulaError: The text is no formula, names an unknown object, or is not co-safe.
+        FormulaError: The text is not a formula, names an unknown object, or is not co-safe.
     """
     formula = _Parser(text, propositions).parse()
     try:
@@ -184,10 +184,10 @@ def proposition_names(formula: Formula) -> tuple[str, ...]:
 
 
 def check_names(names: Iterable[str]) -> tuple[str, ...]:
-    """The names as a tuple, in their order (a set's are sorted), when formulas can use them as propositions.
+    """Return the names as a tuple, in their order (sets are sorted), if formulas can use them as propositions.
 
     Raises:
-        ValueError: One is reserved, no identifier, or there twice.
+        ValueError: A name is reserved, not an identifier, or given twice.
     """
     if isinstance(names, str):
         raise ValueError(f"object names must be a collection of names, not the one string {names!r}; write [{names!r}]")

@@ -1,6 +1,6 @@
-"""Formula progression: what is left of a co-safe formula after a letter (Bacchus and Kabanza, 2000).
+"""Formula progression: what remains of a co-safe formula after a letter (Bacchus and Kabanza, 2000).
 
-What is left is a positive Boolean function of *atoms*: propositions, negated propositions, ``X`` and ``U`` formulas. It
+The rest is a positive Boolean function of *atoms*: propositions, negated propositions, ``X`` and ``U`` formulas. It
 is kept as a reduced ordered binary decision diagram (Bryant, 1986) over the atoms in order of appearance. Equal
 functions are one node, whose successors are computed once however many states contain it, and wide alternations such
 as ``((F a | F b) & (F c | F d) & ...) | F e``, which sets of clauses multiply out, stay small.
@@ -49,7 +49,7 @@ class Progression:
         self._atom_after: dict[tuple[int, str | None], State] = {}
 
     def state(self, formula: Formula) -> State:
-        """The state in which ``formula`` is what is left.
+        """Return the state in which ``formula`` remains.
 
         Raises:
             FormulaTooLargeError: The formula has more than ``MAX_ATOMS`` different parts.
@@ -65,7 +65,7 @@ class Progression:
                 return self._node(_Node(self._atom(formula), TRUE, FALSE))
 
     def after(self, state: State, letter: str | None) -> State:
-        """The state after one more letter: an interaction, or ``None`` for anything else than the formula's objects.
+        """The state after one more letter: an interaction, or ``None`` for anything but the formula's objects.
 
         Raises:
             FormulaTooLargeError: There are more than ``MAX_NODES`` nodes.

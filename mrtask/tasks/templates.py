@@ -52,7 +52,7 @@ def make_formula(template: str, objects: Sequence[str]) -> str:
     """The formula of the template of that name for these objects, in the order a, b, c, d.
 
     Raises:
-        ValueError: No such template, not as many objects as it takes, or a name twice or not fit for formulas.
+        ValueError: An unknown template, the wrong number of objects, or a name that is repeated or unfit for formulas.
     """
     if template not in TEMPLATES:
         raise ValueError(f"unknown template {template!r}; allowed: {', '.join(TEMPLATES)}")

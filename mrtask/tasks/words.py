@@ -36,7 +36,7 @@ Operator = Literal["and", "or", "then"]
 
 
 class WordsError(InputError):
-    """A text that is no task in words, or more than one: ``readings`` then holds some, brackets written out."""
+    """A text that is not one task in words; if it is several, ``readings`` holds some, with brackets written out."""
 
     def __init__(self, message: str, text: str, readings: Sequence[str] = ()) -> None:
         self.readings = tuple(readings)
@@ -87,7 +87,7 @@ _Tree = _Leaf | _Joined
 
 @dataclass(frozen=True)
 class _Link:
-    """What stands between two items; ``operator`` is None for a comma alone, ``loose`` says that a comma is there."""
+    """What stands between two items; ``operator`` is None for a comma alone; ``loose`` means that there is a comma."""
 
     operator: Operator | None
     loose: bool
@@ -102,9 +102,9 @@ class _Group:
 
 
 def read_task(text: str, objects: Collection[str] | None = None, places: Collection[str] | None = None) -> ReadTask:
-    """A task from a formula or from words.
+    """Read a task from a formula or from words.
 
-    A text with one of the formula's own signs (``! & | ->``, ``F U X G true false``) is a formula, any other is words.
+    A text with a sign that only formulas have (``! & | ->``, ``F U X G true false``) is a formula, any other is words.
 
     Args:
         objects: the names that objects may have; words are matched with them (``remote control`` is ``RemoteControl``,
@@ -113,7 +113,7 @@ def read_task(text: str, objects: Collection[str] | None = None, places: Collect
 
     Raises:
         FormulaError: the text is a formula with a mistake.
-        WordsError: it is no task in words, an unknown name, or has more than one meaning.
+        WordsError: the text is not a task in words, has an unknown name, or has more than one meaning.
     """
     if _FORMULA.search(text):
         automaton = build_automaton(text)
@@ -261,7 +261,7 @@ def _only_meaning(text: str, group: _Group) -> _Tree:
 def _readings(
     items: Sequence["_Leaf | _Group"], links: Sequence[_Link], taken: Operator | None = None
 ) -> Iterator[_Tree]:
-    """All ways to bracket the items, but with ``taken`` on top, which the part above has already."""
+    """Yield all ways to bracket the items except with ``taken`` on top, which the part above has already."""
     if not links:
         (item,) = items
         if isinstance(item, _Leaf):

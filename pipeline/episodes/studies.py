@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mrtask.analysis.studies.calibration import Task, beliefs_of
 from mrtask.bounds.assess import assess
 from mrtask.likelihood.adapt import Sighting
+from mrtask.planning.planners import make_planner
 from pipeline.episodes.worker import Context, EpisodeKey, bench_of, likelihood_given
 
 
@@ -24,7 +25,8 @@ def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, An
     trial = bench.trial(key.size_class, key.robots, key.number)
     home = bench.homes[trial.home_id]
     likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
+    name, options = context.planner(key.planner)
+    return assess(trial, home, bench.map_of(trial.home_id), likelihood, make_planner(name, options), worlds, name)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from mrtask.likelihood.given import GivenOptions, given_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planners import make_planner
 from mrtask.tasks.automaton import build_automaton
 from pipeline.store.episode_row import EpisodeRow
 
@@ -143,7 +144,8 @@ def _run(
     home = bench.homes[trial.home_id]
     likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context, task, seen)
     home_map = bench.map_of(trial.home_id)
-    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
+    name, options = context.planner(key.planner)
+    result = run_episode(trial, home, home_map, likelihood, make_planner(name, options), name, observe=observe)
     start_x_m, start_y_m = result.trace.start
     row = replace(
         unfinished_row(key, context, result.status, result.error),
@@ -195,7 +197,7 @@ def warm(key: EpisodeKey, context: Context) -> None:
     trial = bench.trial(key.size_class, key.robots, key.number)
     home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
     likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
+    warm_up(trial, home, home_map, likelihood, make_planner(*context.planner(key.planner)))
 
 
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:

@@ -1,4 +1,4 @@
-"""A client of a live team, over its pipes or its WebSocket; needs nothing of this project, so it may be copied.
+"""A client of a live team, over pipes or a WebSocket; it imports nothing from this project, so you may copy it.
 
     client = PipeClient(["python", "-m", "pipeline.live", "map=lab.yaml", ...])      # or
     client = SocketClient("ws://127.0.0.1:8765", token=None)
@@ -23,7 +23,7 @@ Message = dict[str, Any]
 
 
 class Client:
-    """Sends events, keeps answers, and gives orders in their order; ``clock`` says the time in seconds."""
+    """Sends events, keeps answers, and yields orders one after the other; ``clock`` returns the time in seconds."""
 
     def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.time) -> None:
         self._write, self._clock, self._began_s = write, clock, clock()
@@ -33,19 +33,19 @@ class Client:
         self.messages: queue.Queue[Message | None] = queue.Queue()
 
     def send(self, kind: str, **fields: Any) -> str:
-        """Sends an event; returns its id."""
+        """Send an event; return its id."""
         event = {"type": kind, "id": uuid.uuid4().hex, "time_s": self._clock() - self._began_s, **fields}
         self.unanswered[event["id"]] = event
         self._write(json.dumps(event))
         return str(event["id"])
 
     def send_again(self) -> None:
-        """Sends all that was not answered, as after a break."""
+        """Send everything again that was not answered, after a break."""
         for event in list(self.unanswered.values()):
             self._write(json.dumps(event))
 
     def orders(self, timeout_s: float | None = None) -> Iterator[Message]:
-        """The orders as they come, until the task is done or the connection ends."""
+        """Yield the orders as they come, until the task is done or the connection ends."""
         while (message := self.messages.get(timeout=timeout_s)) is not None:
             if message["type"] == "order":
                 yield message
@@ -53,7 +53,7 @@ class Client:
                 return
 
     def take(self, line: str) -> None:
-        """Takes in a line from the live team."""
+        """Handle a line from the live team."""
         message = json.loads(line)
         if message["type"] == "answer":
             self.unanswered.pop(message["event"], None)
@@ -74,7 +74,7 @@ class Client:
 
 
 class PipeClient(Client):
-    """Starts the live team and talks to it by its standard input and output."""
+    """Starts the live team and talks to it over standard input and output."""
 
     def __init__(self, command: Sequence[str], cwd: Any = None, **options: Any) -> None:
         self.process = Popen(command, text=True, bufsize=1, cwd=cwd, stdin=PIPE, stdout=PIPE)
@@ -96,5 +96,5 @@ class SocketClient(Client):
         self._listen(iter(self.connection), ConnectionClosed)
 
     def close(self) -> None:
-        """Ends the connection; the live team goes on."""
+        """End the connection; the live team goes on."""
         self._open.close()

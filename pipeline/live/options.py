@@ -1,4 +1,4 @@
-"""The options of the live process: those of any tool on a given map, and its robots, its files and its address."""
+"""The options of the live process: those of any tool on a map, and the robots, files and address."""
 
 import ipaddress
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ MIN_TOKEN = 16
 
 
 class GivenTeam(Given):
-    """The options of `pipeline.live`; ``conf/live.yaml`` says what each is."""
+    """The options of `pipeline.live`; ``conf/live.yaml`` explains each."""
 
     team: dict[str, Coordinates] = Field(min_length=1)
     decide_by: str
@@ -48,17 +48,17 @@ class GivenTeam(Given):
 
     @property
     def spec(self) -> RobotSpec:
-        """What the robots are like."""
+        """The robots' speed, times and perception."""
         return replace(super().spec, perception=self.perception.perception())
 
     @property
     def planner_options(self) -> Mapping[str, object]:
-        """The options of the planner that decides."""
+        """The options of the deciding planner."""
         return self.planner.get(self.decide_by.rsplit(".", 1)[-1], {})
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where the WebSocket listens."""
+        """The host and port of the WebSocket."""
         host, colon, port = (self.websocket or "").rpartition(":")
         if not colon or not port.isdigit():
             raise ValueError(f"websocket={self.websocket}: give a port or host:port")

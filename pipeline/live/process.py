@@ -1,10 +1,10 @@
-"""A team of real robots: events come in as JSON lines, orders go out, by standard input and output or a WebSocket.
+"""Run a team of real robots: events come in as JSON lines and orders go out, over pipes or a WebSocket.
 
     python -m pipeline.live map=lab.yaml containers=containers.yaml task="pillow and remote" team="{r1: [1, 2]}"
     python -m pipeline.live name=apartment1 team="{r1: [5.8, 1.0]}" websocket=8765 state=run/state.json
 
 Messages and their meaning: mrtask/live/messages.py, as JSON Schema in mrtask/live/schemas; a client:
-pipeline/live/client.py. Killed and started again with the same state file it goes on. Every key: conf/live.yaml.
+pipeline/live/client.py. Killed and restarted with the same state file, it goes on. Every key: conf/live.yaml.
 """
 
 import asyncio
@@ -30,14 +30,14 @@ VERBATIM = ("task", "name", "token")
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     options = read_options(arguments)
     session = LiveSession(_live(options), options.state, options.log)
     asyncio.run(_serve(options, session))
 
 
 def read_options(arguments: Sequence[str]) -> GivenTeam:
-    """The options on a command line; raises `UserError` with every mistake."""
+    """Read the options from a command line; raise `UserError` with every mistake."""
     given = overrides(arguments, VERBATIM)
     return load_options(GivenTeam, scenario_files(given, "live.yaml"), given)
 
@@ -65,7 +65,7 @@ def _live(options: GivenTeam) -> LiveTeam:
 
 
 class SessionHub:
-    """One session for all who talk to it: answers go to the sender, orders and the task's state to everybody."""
+    """One session for all listeners: answers go to the sender, orders and the task's state to everybody."""
 
     def __init__(self, session: LiveSession) -> None:
         self.session = session
@@ -80,7 +80,7 @@ class SessionHub:
             self._tell(listener, news)
 
     def _tell(self, listener: object, lines: Sequence[str]) -> None:
-        """Who is too far behind to be told is let go, and nobody else is the worse for it."""
+        """Drop a listener that is too far behind, so that the others do not suffer."""
         if (queue := self.listeners.get(listener)) is None:
             return
         try:
@@ -98,7 +98,7 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
     loop = asyncio.get_running_loop()
     for name in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(name, done.set)
-    # Before anybody can talk to the session, since only the hub's lock keeps messages apart.
+    # Before anybody can talk to the session: only the hub's lock keeps messages apart.
     for text in session.begin():
         print(text, flush=True)
     async with contextlib.AsyncExitStack() as stack:
@@ -113,7 +113,7 @@ async def _serve(options: GivenTeam, session: LiveSession) -> None:
 
 
 async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
-    """Standard input and output; ``ends``: the end of input is the end of all."""
+    """Serve standard input and output; ``ends``: the end of the input ends the process."""
     loop = asyncio.get_running_loop()
     queue: asyncio.Queue[str | None] = asyncio.Queue()
     hub.listeners["pipes"] = queue
@@ -135,7 +135,7 @@ async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
 
 
 def lines_of(descriptor: int) -> Iterator[bytes]:
-    """The lines of a file, pipe or terminal that are not empty; of one that is too long only its beginning."""
+    """Yield the lines of a file, pipe or terminal that are not empty; of a line that is too long, only the start."""
     held, too_long = b"", False
     while chunk := os.read(descriptor, 65_536):
         *ended, rest = (held + chunk).split(b"\n")

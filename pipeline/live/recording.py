@@ -1,4 +1,4 @@
-"""A live process's log as an MCAP file, which robotics tools open: each message on its type's topic, with its schema.
+"""Write a live process's log as MCAP, which robotics tools open: each message on its type's topic, with its schema.
 
     python -m pipeline.live.recording run/log.jsonl run/log.mcap
 
@@ -20,7 +20,7 @@ NS_PER_S = 1_000_000_000
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     if len(arguments) != 2:
         raise UserError("give the log of a live process (log=run/log.jsonl) and the file to write, as run/log.mcap")
     log, recording = map(Path, arguments)
@@ -32,7 +32,7 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def write(log: Path, recording: Path) -> int:
-    """Writes a log as MCAP; gives the number of messages.
+    """Write a log as MCAP; return the number of messages.
 
     Raises:
         UserError: the log is damaged, or mcap is not installed.
@@ -64,7 +64,7 @@ def write(log: Path, recording: Path) -> int:
 
 
 def _messages(log: Path) -> Iterator[tuple[float, str, dict[str, Any]]]:
-    """(time, "in" or "out", message) in order; what was refused as no message at all has its answer only."""
+    """Yield (time, "in" or "out", message) in order; a line that was not a message appears as its answer only."""
     time_s = 0.0
     for number, line in enumerate(log.read_text(encoding="utf-8").splitlines(), 1):
         try:

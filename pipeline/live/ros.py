@@ -1,4 +1,4 @@
-"""Robots on ROS 2 for a live team, over rosbridge: orders become goals of Nav2, results and detections become events.
+"""Connect ROS 2 robots to a live team over rosbridge: orders become Nav2 goals, results and detections become events.
 
     python -m pipeline.live.ros robots="{r1: /r1, r2: /r2}" live=ws://127.0.0.1:8765 rosbridge=ws://127.0.0.1:9090
 
@@ -34,7 +34,7 @@ VERBATIM = ("token",)
 
 
 class RosOptions(BaseModel):
-    """The options of `pipeline.live.ros`; ``conf/ros.yaml`` says what each is."""
+    """The options of `pipeline.live.ros`; ``conf/ros.yaml`` explains each."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -57,11 +57,11 @@ class Nav2(Protocol):
     """One robot's NavigateToPose."""
 
     def send(self, goal: Message, ended: Callable[[str, str], None], passed: Callable[[float, float], None]) -> str:
-        """Sends a goal, gives its id; ``ended(status, reason)`` and ``passed(x_m, y_m)`` are called later."""
+        """Send a goal and return its id; ``ended(status, reason)`` and ``passed(x_m, y_m)`` are called later."""
         ...
 
     def cancel(self, goal: str) -> None:
-        """Cancels a goal."""
+        """Cancel a goal."""
         ...
 
 
@@ -72,12 +72,12 @@ class _Goal:
 
 
 class RosRobot:
-    """One robot: takes its orders, and reports what comes of them. Everything is called from one thread.
+    """One robot: it takes orders and reports their outcome. Everything is called from one thread.
 
     Args:
         report: sends an event: ``report(kind, robot=..., ...)``.
-        later: calls a function after so many seconds.
-        joined: whether the live team counts on the robot already; otherwise it joins where it first says to be.
+        later: calls a function after a number of seconds.
+        joined: whether the robot is in the live team already; if not, it joins at the first place that it reports.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class RosRobot:
         self._joined, self._said_s = joined, float("-inf")
 
     def obey(self, order: Message) -> None:
-        """Does as ordered from now on."""
+        """Carry out this order from now on."""
         self._order, self._seen = order, None
         action = order["action"]
         if action == "navigate" and self._goal is not None and self._goal.container == order["container"]:
@@ -120,13 +120,13 @@ class RosRobot:
             self._later(self._options.interact_time_s, lambda: self._interacted(order))
 
     def stop(self) -> None:
-        """Cancels the goal, if there is one."""
+        """Cancel the goal, if any."""
         if self._goal is not None:
             self._nav2.cancel(self._goal.id)
             self._goal = None
 
     def is_at(self, x_m: float, y_m: float) -> None:
-        """The robot says where it is."""
+        """Report where the robot is."""
         now_s = self._clock()
         if now_s < self._said_s + self._options.pose_every_s:
             return
@@ -135,12 +135,12 @@ class RosRobot:
         self._joined = True
 
     def localised(self, message: Message) -> None:
-        """Its localisation has said something: a message of geometry_msgs."""
+        """Handle a message of the robot's localisation, from geometry_msgs."""
         place = message["pose"]["pose"]["position"]
         self.is_at(float(place["x"]), float(place["y"]))
 
     def detects(self, message: Message) -> None:
-        """Its detector has seen something: a message of vision_msgs."""
+        """Handle a message of the robot's detector, from vision_msgs."""
         if self._seen is None:
             return
         for detection in message["detections"]:
@@ -171,7 +171,7 @@ class RosRobot:
 
 
 def pose_goal(route: Sequence[Sequence[float]], frame: str) -> Message:
-    """NavigateToPose's goal: the end of a route, looking along its last stretch."""
+    """Return NavigateToPose's goal: the end of a route, facing along its last stretch."""
     x_m, y_m = route[-1]
     before = route[-2] if len(route) > 1 else route[-1]
     heading = atan2(y_m - before[1], x_m - before[0])
@@ -181,7 +181,7 @@ def pose_goal(route: Sequence[Sequence[float]], frame: str) -> Message:
 
 
 class _Rosbridge:
-    """The connection to ROS; what it hears goes into ``inbox`` as calls to be made."""
+    """The connection to ROS; incoming messages go into ``inbox`` as calls to make."""
 
     def __init__(self, address: str, inbox: "queue.Queue[Callable[[], None] | None]") -> None:
         try:
@@ -199,16 +199,16 @@ class _Rosbridge:
             raise UserError(f"rosbridge={address}: nobody answers; is rosbridge_server running?") from error
 
     def close(self) -> None:
-        """Ends the connection."""
+        """End the connection."""
         self.ros.close()
         self._closed.wait(CONNECT_WITHIN_S)
 
     def nav2(self, action: str) -> Nav2:
-        """A robot's action."""
+        """Return a robot's action."""
         return _Action(self._lib, self.ros, action, self._inbox)
 
     def listen(self, topic: str, kind: str, take: Callable[[Message], None]) -> None:
-        """Calls ``take`` with every message of a topic."""
+        """Call ``take`` with every message of a topic."""
         self._lib.Topic(self.ros, topic, kind).subscribe(lambda message: self._inbox.put(partial(take, message)))
 
 
@@ -237,12 +237,12 @@ class _Action:
 
 
 def read_options(arguments: Sequence[str]) -> RosOptions:
-    """The options on a command line; raises `UserError` with every mistake."""
+    """Read the options from a command line; raise `UserError` with every mistake."""
     return load_options(RosOptions, [CONF_DIR / "ros.yaml"], overrides(arguments, VERBATIM))
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     options = read_options(arguments)
     inbox: queue.Queue[Callable[[], None] | None] = queue.Queue()
     bridge = _Rosbridge(options.rosbridge, inbox)

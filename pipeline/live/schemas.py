@@ -1,4 +1,4 @@
-"""Writes the JSON Schema of every message of `pipeline.live`: python -m pipeline.live.schemas [folder]."""
+"""Write the JSON Schema of every message of `pipeline.live`: python -m pipeline.live.schemas [folder]."""
 
 import json
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ FOLDER = Path(messages.__file__).parent / "schemas"
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     folder = Path(arguments[0]) if arguments else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for kind, schema in messages.schemas().items():

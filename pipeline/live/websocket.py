@@ -1,4 +1,4 @@
-"""The live team's WebSocket: the same JSON messages, one a frame; who listens from elsewhere shows the token first."""
+"""The live team's WebSocket: the same JSON messages, one per frame; listeners elsewhere must show the token first."""
 
 import asyncio
 import hmac
@@ -17,22 +17,22 @@ HELLO_WITHIN_S = 10.0
 REFUSED = 1008
 """WebSocket's close code for a broken rule."""
 MAX_WAITING = 10_000
-"""Messages that a listener may be behind before it is let go."""
+"""A listener that is this many messages behind is dropped."""
 
 
 class Hub(Protocol):
-    """Where messages go: ``listeners`` are the queues of what is to be sent; None ends one."""
+    """Where messages go: ``listeners`` holds the queues to send from; None ends a queue."""
 
     listeners: dict[object, asyncio.Queue[str | None]]
 
     async def receive(self, sender: object, text: str | bytes) -> None:
-        """Takes in a message of a listener."""
+        """Handle a message from a listener."""
         ...
 
 
 @asynccontextmanager
 async def serve(hub: Hub, host: str, port: int, token: str | None) -> AsyncIterator[int]:
-    """Listens while the block runs; gives the port, which the system chooses for 0."""
+    """Listen while the block runs; yields the port, which the system chooses for 0."""
 
     async def talk(connection: ServerConnection) -> None:
         if not await _welcome(connection, token):

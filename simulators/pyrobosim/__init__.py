@@ -1,1 +1,1 @@
-"""pyrobosim as the world of a live team: homes as its worlds, its robots on the team's routes, in stepped time."""
+"""pyrobosim as a live team's world: its worlds are homes, its robots drive the team's routes, time goes in steps."""

@@ -1,4 +1,4 @@
-"""Drives pyrobosim's robots through homes by the live process, planner beside planner, and says what came of it.
+"""Drive pyrobosim's robots through homes with the live process, planner beside planner, and print the outcome.
 
     python -m simulators.pyrobosim count=3 robots=[2]
     python -m simulators.pyrobosim homes=[houses.jsonl.gz] assets=asset-database.json count=30
@@ -35,13 +35,13 @@ from simulators.pyrobosim.world import World, write_world
 DEFAULTS = Path(__file__).with_name("options.yaml")
 EPISODES, RUN, SUMMARY, PATHS = "episodes.jsonl", "run.json", "summary.txt", "paths"
 SPARE = 3
-"""So many times the homes wanted are generated, since not every one can be used."""
+"""The number of homes generated for each home wanted, since not all of them can be used."""
 
 LocalPath = Annotated[Path, AfterValidator(lambda path: path.expanduser().absolute())]
 
 
 class Options(BaseModel):
-    """The options; ``options.yaml`` says what each is."""
+    """The options; ``options.yaml`` explains each."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -59,19 +59,19 @@ class Options(BaseModel):
     output_dir: LocalPath
 
     def live_options(self, planner: str) -> list[str]:
-        """What `pipeline.live` is started with for this planner."""
+        """Return the arguments of `pipeline.live` for this planner."""
         own = self.planner.get(planner, {})
         listed = [f"planner.{planner}.{key}={json.dumps(value)}" for key, value in own.items()]
         return [f"likelihood={self.likelihood}", *listed]
 
 
 def read_options(arguments: Sequence[str]) -> Options:
-    """The options of a command line; raises `UserError` for every mistake in it."""
+    """Read the options from a command line; raise `UserError` with every mistake."""
     return load_options(Options, [DEFAULTS], overrides(arguments))
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     options = read_options(arguments)
     try:
         version("pyrobosim")
@@ -79,7 +79,7 @@ def run(arguments: Sequence[str]) -> None:
         raise InputError(
             "pyrobosim is needed here: make install, or pip install -c constraints.txt pyrobosim"
         ) from error
-    logging.disable(logging.WARNING)  # pyrobosim tells of everything that it does; what counts is checked
+    logging.disable(logging.WARNING)  # pyrobosim logs everything that it does; what matters is checked
     body = Body()
     rows = _rows_so_far(options)
     done = {(row["trial_id"], row["planner"]) for row in rows}
@@ -91,7 +91,7 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def _rows_so_far(options: Options) -> list[dict[str, Any]]:
-    """The episodes of the same options that are there; raises `InputError` where the folder holds others."""
+    """Read the folder's episodes; raise `InputError` if they were made with other options."""
     options.output_dir.mkdir(parents=True, exist_ok=True)
     content = options.model_dump_json(
         include={"homes", "assets", "likelihood", "search_time_s", "interact_time_s", "seed", "planner"}
@@ -108,7 +108,7 @@ def _rows_so_far(options: Options) -> list[dict[str, Any]]:
 
 
 def _worlds(options: Options, body: Body) -> Iterator[World]:
-    """So many homes that can be used, the size classes taking turns."""
+    """Return the wanted number of usable homes, the size classes taking turns."""
     if options.homes == "generated":
         homes: list[Home] = list(generate_homes(SPARE * options.count, options.seed))
     elif isinstance(options.homes, str):
@@ -120,7 +120,7 @@ def _worlds(options: Options, body: Body) -> Iterator[World]:
     while given < options.count:
         size_class = SIZE_CLASSES[given % len(SIZE_CLASSES)]
         if not waiting[size_class]:
-            raise InputError(f"count={options.count}: there are not so many {size_class} homes that can be used")
+            raise InputError(f"count={options.count}: not enough {size_class} homes can be used")
         home = waiting[size_class].pop(0)
         try:
             world = write_world(home, options.output_dir / "worlds" / home.id, body)
@@ -133,7 +133,7 @@ def _worlds(options: Options, body: Body) -> Iterator[World]:
 
 
 def _trials(world: World, number: int, options: Options, body: Body) -> list[Trial]:
-    """One for each team size, or for the one whose turn it is; any home of a number has the same turn."""
+    """Return one for each team size, or for the one whose turn it is; homes of the same number have the same turn."""
     spec = RobotSpec(body.speed_m_per_s, options.search_time_s, options.interact_time_s)
     turn = number // len(SIZE_CLASSES) % len(options.robots)
     return [
@@ -188,7 +188,7 @@ def _run_world(
 
 
 def _write_paths(file: Path, paths: dict[str, list[tuple[float, float]]]) -> None:
-    """Where each robot was, in metres, every `STEP_S`."""
+    """Each robot's positions in metres, every `STEP_S`."""
     file.parent.mkdir(parents=True, exist_ok=True)
     rounded = {name: [[round(x, 3), round(y, 3)] for x, y in places] for name, places in paths.items()}
     file.write_text(json.dumps(rounded) + "\n", encoding="utf-8")

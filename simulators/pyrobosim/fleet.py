@@ -1,4 +1,4 @@
-"""The robots of a pyrobosim world on their ways, in stepped time, and who goes first where they meet.
+"""Drive the robots of a pyrobosim world in stepped time, and decide which goes first where they meet.
 
 pyrobosim's path executor runs in threads on the wall's clock and lets robots drive through each other. So the robots
 are driven by velocity commands in a loop of our own, the other way that its manual describes ("Robot Dynamics"), one
@@ -12,7 +12,8 @@ refuses a step into walls, furniture or another robot. It has no rules for robot
 3. A robot that holds up one that goes before it drives to the nearest place off that one's way, and goes on when it
    has passed, by the shortest way from where it then is. Meanwhile it has the other's rank towards everybody else.
 4. If there is no such place, it goes first itself, and the other one gives way.
-5. Who has not moved for ``STUCK_S`` goes first from then on; after ``GIVE_UP_S`` it reports that it cannot get there.
+5. A robot that has not moved for ``STUCK_S`` goes first from then on; after ``GIVE_UP_S`` it reports that it cannot get
+   there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,8 +28,8 @@ from pyrobosim.utils.pose import Pose
 from scipy import ndimage
 from skimage.graph import MCP_Geometric
 
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position, plan_route
-from mrtask.execution.scenario import free_cell_near
 from mrtask.homes.home import Point
 from mrtask.maps.home_map import HomeMap
 from simulators.pyrobosim.robot import Body
@@ -36,7 +37,7 @@ from simulators.pyrobosim.ways import Way, speed_to_stop_in, steer, turn_rate, w
 
 STEP_S = 0.1
 KEEP_OFF_M = 0.06
-"""Between the edges of two robots, more than which a robot does not drive up to another one."""
+"""The gap between the edges of two robots below which a robot does not drive up to another."""
 REFUGE_M = 0.12
 """Between the edges of a robot that gives way and of one that passes."""
 HORIZON_M, CROSSING_S = 1.2, 1.0
@@ -87,13 +88,13 @@ class Member:
 
     @property
     def place(self) -> Point:
-        """Where it is, in metres."""
+        """Its position in metres."""
         pose = self.robot.get_pose()
         return (float(pose.x), float(pose.y))
 
     @property
     def order(self) -> float:
-        """Whose is lower goes first."""
+        """The robot with the lower rank goes first."""
         if self.way is None:
             return inf
         return self.aside_rank if self.aside else self.rank
@@ -101,7 +102,7 @@ class Member:
 
 @dataclass
 class Tally:
-    """What became of robots that met."""
+    """What happened where robots met."""
 
     contacts: int = 0
     """Steps that pyrobosim refused because of another robot, and steps after which two robots overlapped."""
@@ -110,7 +111,7 @@ class Tally:
     least_gap_m: float = inf
     """Between the edges of any two robots at any time."""
     held_s: float = 0.0
-    """For how long robots stood because of others, all together."""
+    """The total time that robots stood because of others."""
     gave_way: int = 0
     gave_up: int = 0
 
@@ -148,7 +149,7 @@ class Fleet:
         self.tally = Tally()
 
     def drive(self, name: str, container: str, route: Sequence[Point]) -> None:
-        """The robot is to go to the container, by this route; without one by the shortest way."""
+        """Send the robot to the container, by this route; without one, by the shortest way."""
         member = self.members[name]
         member.target, member.still_s = container, 0.0
         member.own_way = self._joined(member, route) if route else self._way_to(member, container)
@@ -156,19 +157,19 @@ class Fleet:
             self._set_way(member, member.own_way)
 
     def halt(self, name: str) -> None:
-        """The robot has nowhere to go; if it is giving way, it goes on doing so."""
+        """Take the robot's target away; if it is giving way, it goes on doing so."""
         member = self.members[name]
         member.target = member.own_way = None
         if not member.aside:
             self._set_way(member, None)
 
     def stands_at(self, name: str, container: str) -> bool:
-        """Whether the robot stands where the container is searched."""
+        """Return whether the robot stands where the container is searched."""
         member = self.members[name]
         return member.way is None and bool(member.robot.get_pose().is_approx(self.nav_poses[container]))
 
     def step(self) -> Moved:
-        """Lets `STEP_S` pass."""
+        """Let `STEP_S` pass."""
         self.time_s += STEP_S
         moved = Moved()
         for member in self.members.values():
@@ -196,13 +197,13 @@ class Fleet:
         member.holder, member.held_s = None, 0.0
 
     def _way_to(self, member: Member, container: str) -> Way:
-        """The shortest way from where the robot is, as the live team would plan it."""
+        """Return the shortest way from where the robot is, as the live team would plan it."""
         start = Position.at(free_cell_near(self.home_map, member.place, inf))
         route = plan_route(self.home_map, start, self.containers.index(container))
         return self._joined(member, route.points_after(self.home_map, 0.0))
 
     def _look_ahead(self, member: Member) -> float:
-        """The speed that others allow; notes who holds the robot up."""
+        """Return the speed that others allow, and note which robot is in the way."""
         holder, gap_m = None, inf
         if member.way is not None and not member.docking:
             ahead = member.way.ahead(HORIZON_M)
@@ -247,7 +248,7 @@ class Fleet:
         member.rank = min(one.rank for one in self.members.values()) - 1.0
 
     def _refuge(self, member: Member, passing: Member, ignored: Member | None) -> list[Point] | None:
-        """The way to the nearest place off the way of whoever goes first; None where there is none."""
+        """Return the way to the nearest place off the other robot's way, or None."""
         home_map, radius_m = self.home_map, self.body.radius_m
         others = [one for one in self.members.values() if one is not member]
         ways = [one.way.ahead() for one in others if one.way is not None and one.order <= passing.order]
@@ -267,7 +268,7 @@ class Fleet:
         return [home_map.cell_center((int(row), int(col))) for row, col in search.traceback(nearest)]
 
     def _within(self, points: NDArray[np.float64], metres: float) -> NDArray[np.bool_]:
-        """[H, W] the cells so near to any of the points."""
+        """Return [H, W] the cells that are near any of the points."""
         marked: NDArray[np.bool_] = np.ones(self.home_map.free.shape, dtype=bool)
         for x, y in points:
             row, col = self.home_map.cell_of((x, y))
@@ -279,7 +280,7 @@ class Fleet:
         return away * self.home_map.resolution_m < metres
 
     def _go_on_if_passed(self, member: Member) -> None:
-        """A robot that gave way and has reached its refuge goes on when the other one has passed."""
+        """Let a robot that gave way and has reached its refuge go on once the other one has passed."""
         if not member.aside or member.way is not None:
             return
         member.parked_s += STEP_S

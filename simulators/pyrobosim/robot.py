@@ -1,4 +1,4 @@
-"""What the simulated robots are like; all of a team are alike."""
+"""The simulated robots; all robots of a team are alike."""
 
 from dataclasses import dataclass
 

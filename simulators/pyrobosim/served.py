@@ -1,4 +1,4 @@
-"""Live processes that start at once: forked from a server which has imported `pipeline.live` and warmed it up.
+"""Live processes that start at once: they are forked from a server that has imported and warmed up `pipeline.live`.
 
 Started as `python -m pipeline.live`, one takes seconds of imports, for the likelihood model and to load kernels, which
 is more than most episodes take. A forked one is a process of its own too: it runs the same code from its command line's
@@ -35,7 +35,7 @@ class ServedClient(Client):
         self._listen(iter(self._lines))
 
     def end(self) -> None:
-        """Ends its input, which ends the process.
+        """End its input, which ends the process.
 
         Raises:
             RuntimeError: it goes on all the same, and was killed.
@@ -53,7 +53,7 @@ class ServedClient(Client):
 
 
 def _serve(arguments: Sequence[str], end: socket.socket) -> None:
-    """The live process, with this socket as its standard input and output."""
+    """Run the live process with this socket as its standard input and output."""
     for descriptor in (0, 1):
         os.dup2(end.fileno(), descriptor)
     sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)

@@ -1,4 +1,4 @@
-"""What the episodes say: who was how fast, planned against real travel times, and what happened where robots met."""
+"""Summarise the episodes: costs, planned and real travel times, and what happened where robots met."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ Row = Mapping[str, Any]
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """A text to read."""
+    """Return the summary as text."""
     if not rows:
         return "no episodes"
     episodes = pd.DataFrame(rows)
@@ -37,7 +37,7 @@ def _costs(episodes: pd.DataFrame) -> Iterator[str]:
 
 
 def _improvements(episodes: pd.DataFrame) -> Iterator[str]:
-    """Of all planners that are no baseline over the baselines, on the trials that both finished."""
+    """Return each planner's improvement over each baseline, on the trials that both finished."""
     planners = planners_in_order(episodes["planner"].unique())
     yield "time saved (95 % interval), on the trials that both finished"
     for name in planners:

@@ -1,4 +1,4 @@
-"""One task in one world by one planner: pyrobosim's robots do what the live process orders.
+"""Run one task in one world with one planner: pyrobosim's robots do what the live process orders.
 
 The live process is `pipeline.live` (`simulators.pyrobosim.served`), which gets the map, the containers' places and the
 task, and is told what happens through `pipeline.live.client`. Its clock is the simulation's, which stands still while
@@ -26,7 +26,7 @@ from simulators.pyrobosim.served import ServedClient
 from simulators.pyrobosim.world import RESOLUTION_M, World
 
 MAX_TIME_S = 1800.0
-"""Of the simulation; a task that takes longer has failed."""
+"""In simulated time; a task that takes longer has failed."""
 ANSWER_WITHIN_S = 120.0
 POSE_M = 0.01
 """A robot that moved less than this since its last pose sends none."""
@@ -45,12 +45,12 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a trial came to."""
+    """A trial's outcome."""
 
     status: str
     """``accepted``, ``failed``"""
     cost_s: float | None
-    """When the last interaction was done."""
+    """When the last interaction ended."""
     error: str | None
     orders: int
     refused: tuple[str, ...]
@@ -63,11 +63,11 @@ class Outcome:
     gave_way: int
     gave_up: int
     paths: dict[str, list[Point]] = field(default_factory=dict)
-    """Where each robot was, step by step."""
+    """Each robot's positions, step by step."""
 
 
 def load_world(world: World) -> Simulated:
-    """The world in pyrobosim, without robots.
+    """Load the world into pyrobosim, without robots.
 
     Raises:
         InputError: pyrobosim left something out, which it only logs.
@@ -93,7 +93,7 @@ def _held(simulated: Simulated, container: str) -> set[str]:
 
 
 def starts_near(world: World, trial: Trial, body: Body) -> list[Point]:
-    """Where the robots start: the free places nearest to the trial's start that are far enough from each other."""
+    """Return the robots' starts: the free places nearest to the trial's start that are far enough from each other."""
     home_map = world.home_map
     cells = np.argwhere(home_map.free)
     first = np.array(trial.start_cell)
@@ -111,7 +111,7 @@ def starts_near(world: World, trial: Trial, body: Body) -> list[Point]:
 def run_trial(
     world: World, simulated: Simulated, trial: Trial, planner: str, options: Sequence[str], body: Body
 ) -> Outcome:
-    """Runs a trial; ``options`` are more of `pipeline.live`'s."""
+    """Run a trial; ``options`` are further options of `pipeline.live`."""
     simulated.remove_all_robots()
     starts = starts_near(world, trial, body)
     robots = [_robot(f"robot-{number}", place, body) for number, place in enumerate(starts)]
@@ -166,7 +166,7 @@ class Bridge:
         self.count = 0
 
     def run(self) -> Outcome:
-        """Until the task is done, or nobody does anything any more."""
+        """Run until the task is done, or no robot does anything any more."""
         self._hear_until_task()
         error = None
         while self.client.task["status"] != "done":
@@ -207,7 +207,7 @@ class Bridge:
         return not self.due_s and all(member.way is None and not member.aside for member in self.fleet.members.values())
 
     def _hear_until_task(self) -> None:
-        """Takes in messages up to the task's state, which ends every reply to an event that was taken in."""
+        """Read messages up to the task's state, which ends every reply to an accepted event."""
         while True:
             try:
                 message = self.client.messages.get(timeout=ANSWER_WITHIN_S)
@@ -221,7 +221,7 @@ class Bridge:
                 return
 
     def _tell(self, kind: str, **facts: Any) -> None:
-        """An event, and before it where everybody is who moved since the last one."""
+        """Send an event, preceded by the poses of all robots that moved since the last one."""
         for name, member in self.fleet.members.items():
             x, y = member.place
             arrived = kind == "arrived" and name == facts["robot"]
@@ -265,7 +265,7 @@ class Bridge:
         self._tell("arrived", robot=name, container=order["container"])
 
     def _end_what_is_due(self) -> None:
-        """Ends searches and interactions that are due, and what begins thereby and takes no time."""
+        """End the searches and interactions that are due, and those that follow from them and take no time."""
         while due := [name for name, at_s in self.due_s.items() if at_s <= self.fleet.time_s + STEP_S / 2]:
             name = due[0]
             del self.due_s[name]
@@ -284,7 +284,7 @@ class Bridge:
                 self._tell("interaction_ended", status=status, gone=not done, **facts)
 
     def _interact(self, robot: Robot, kind: str) -> bool:
-        """Picks the object up and puts it back where it was."""
+        """Pick the object up and put it back where it was."""
         known = [one for one in robot.get_known_objects() if one.category == kind and one.parent is robot.location]
         if not known:  # another robot searched here
             robot.detect_objects()

@@ -1,4 +1,4 @@
-"""Imported by the server that live processes are forked from: what all of them need is made before they begin."""
+"""Imported by the server from which live processes are forked: it prepares what all of them need."""
 
 import pandas as pd
 
@@ -8,5 +8,5 @@ from mrtask.planning.warm_up import compile_kernels, kernels_missing
 from pipeline.live import process as process
 
 catalogue_model().predict(pd.DataFrame([("mug", "table", "kitchen")], columns=TRIPLE))
-if not kernels_missing():  # else who needs them compiles them
+if not kernels_missing():  # else each process compiles what it needs
     compile_kernels({"pouct": ("pouct", {})})

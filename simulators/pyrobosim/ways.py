@@ -1,4 +1,4 @@
-"""A robot's way and how it is steered along it: forward speed and turn rate for the next instant."""
+"""A robot's way, and how to steer along it: forward speed and turn rate for the next instant."""
 
 from collections.abc import Sequence
 from math import atan2, copysign, hypot, pi, sqrt
@@ -15,7 +15,7 @@ for the moment after it was stopped at furniture."""
 WINDOW_M, WINDOW_STEP_M = 0.6, 0.01
 """Where on its way a robot is, is looked for this far ahead of where it was, in these steps."""
 SLOW_RAD = 0.7
-"""A robot that looks this far away from where it is to go turns on the spot."""
+"""A robot whose heading is this far off its way turns on the spot."""
 BRAKING_SHARE = 0.8
 """Of the acceleration; the rest is for the time between two instants."""
 STEP_M = 0.05
@@ -44,11 +44,11 @@ class Way:
         return (float(self._line[-1, 0]), float(self._line[-1, 1]))
 
     def at(self, metres: NDArray[np.float64] | float) -> NDArray[np.float64]:
-        """[..., 2] the points after so many metres; the last one beyond the end."""
+        """Return [..., 2] the points at these distances in metres; the last point beyond the end."""
         return np.stack([np.interp(metres, self._reached_m, self._line[:, axis]) for axis in (0, 1)], axis=-1)
 
     def advance(self, place: Point) -> None:
-        """The robot is here: the nearest point ahead of where it was is where it is on its way."""
+        """Note the robot's position: on its way, it is at the nearest point ahead of where it was."""
         metres = np.arange(
             self.progress_m, min(self.progress_m + WINDOW_M, self.length_m) + WINDOW_STEP_M, WINDOW_STEP_M
         )
@@ -56,25 +56,25 @@ class Way:
         self.progress_m = min(float(metres[int(np.argmin(away))]), self.length_m)
 
     def ahead(self, horizon_m: float = np.inf) -> NDArray[np.float64]:
-        """[K, 2] points of what is left, from where the robot is, as far as the horizon."""
+        """Return [K, 2] points of the remaining way, from where the robot is to the horizon."""
         end_m = min(self.progress_m + horizon_m, self.length_m)
         count = max(int(np.ceil((end_m - self.progress_m) / STEP_M)), 1)
         return self.at(np.linspace(self.progress_m, end_m, count + 1))
 
 
 def wrapped(angle: float) -> float:
-    """The angle between -pi and pi."""
+    """Return the angle between -pi and pi."""
     return (angle + pi) % (2 * pi) - pi
 
 
 def turn_rate(error: float, body: Body, dt_s: float) -> float:
-    """The rate at which to turn by ``error``, so that the robot can still stop turning in time."""
+    """Return the rate at which to turn by ``error`` so that the robot can still stop turning in time."""
     rate = sqrt(2 * BRAKING_SHARE * body.turn_acceleration_rad_per_s2 * abs(error))
     return copysign(min(rate, body.turn_rad_per_s, abs(error) / dt_s), error)
 
 
 def speed_to_stop_in(metres: float, body: Body, dt_s: float) -> float:
-    """The greatest speed from which the robot stops within so many metres."""
+    """Return the greatest speed from which the robot can stop within this distance."""
     metres = max(metres, 0.0)
     return min(sqrt(2 * BRAKING_SHARE * body.acceleration_m_per_s2 * metres), metres / dt_s, body.speed_m_per_s)
 
@@ -82,7 +82,7 @@ def speed_to_stop_in(metres: float, body: Body, dt_s: float) -> float:
 def steer(
     place: Point, yaw: float, way: Way, limit_m_per_s: float, body: Body, dt_s: float, *, careful: bool = False
 ) -> tuple[float, float]:
-    """Forward speed and turn rate along the way; ``limit_m_per_s`` is what others on the way allow."""
+    """Return forward speed and turn rate along the way; ``limit_m_per_s`` is the speed that other robots allow."""
     x, y = place
     to_end_m = hypot(way.end[0] - x, way.end[1] - y)
     goal_x, goal_y = way.at(way.progress_m + (CAREFUL_LOOKAHEAD_M if careful else LOOKAHEAD_M))

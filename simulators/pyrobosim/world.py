@@ -1,6 +1,6 @@
-"""A home as both sides read it: a ROS map and a list of containers for the live team, a world for pyrobosim.
+"""Write a home for both sides: a ROS map and a list of containers for the live team, a world for pyrobosim.
 
-    <folder>/map.yaml, floor.png, containers.yaml      what the live team knows; no container says what it holds
+    <folder>/map.yaml, floor.png, containers.yaml      what the live team knows, without the containers' contents
     <folder>/world.yaml, locations.yaml, objects.yaml  the truth; pyrobosim's own programs open the first
 
 Rooms become pyrobosim's rooms, drawn in by half a wall; doors and openings its hallways; furniture its locations, the
@@ -48,9 +48,9 @@ class World:
 
     folder: Path
     home: Home
-    """What the live team reads, with what the containers really hold."""
+    """The home that the live team reads, with the containers' true contents."""
     size_class: str
-    """Of the home itself: a map shows less floor, since walls take some."""
+    """The home's own: on a map, walls take part of the floor."""
     home_map: HomeMap
     """The live team's map."""
     left_out: tuple[str, ...]
@@ -73,7 +73,7 @@ class World:
 
 
 def write_world(home: Home, folder: Path, body: Body) -> World:
-    """Writes a home's files.
+    """Write a home's files.
 
     Raises:
         InputError: no container is left that a robot can stand at.
@@ -104,7 +104,7 @@ def write_world(home: Home, folder: Path, body: Body) -> World:
 
 
 def _without(home: Home, left_out: set[str]) -> Home:
-    """The home in which these containers are obstacles."""
+    """Return the home in which these containers are obstacles."""
     kept = tuple(container for container in home.containers if container.id not in left_out)
     others = tuple(Obstacle(one.id, one.type, one.footprint) for one in home.containers if one.id in left_out)
     return replace(home, containers=kept, obstacles=home.obstacles + others)
@@ -115,7 +115,7 @@ def _drawn_in(polygon: Polygon) -> shapely.Polygon:
 
 
 def _largest(shape: BaseGeometry) -> shapely.Polygon:
-    """The largest polygon of a shape; an empty one where there is none."""
+    """Return the largest polygon of a shape; an empty polygon if it has none."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     return max(parts, key=lambda part: part.area, default=shapely.Polygon())
 
@@ -310,7 +310,7 @@ def _hallways(home: Home, body: Body) -> Iterator[dict[str, Any]]:
 
 
 def _spots(piece: shapely.Polygon, count: int) -> list[Point]:
-    """So many places for objects in a piece of furniture.
+    """Return this many places for objects in a piece of furniture.
 
     Raises:
         InputError: there is no room for them.

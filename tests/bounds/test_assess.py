@@ -5,6 +5,7 @@ from mrtask.bounds.assess import assess, home_with, searches_of
 from mrtask.execution.episode import run_episode
 from mrtask.execution.trials import home_order, sample_trial
 from mrtask.maps.home_map import build_map
+from mrtask.planning.planners import make_planner
 from mrtask.tasks.automaton import build_automaton
 
 
@@ -23,7 +24,7 @@ def make_trial(homes, robots, number):
 @pytest.mark.parametrize("planner", ["nonlearned_myopic", "greedy"])
 def test_one_robots_cost_is_not_below_its_bound_whatever_the_worlds(small_homes, planner):
     for number in range(3):
-        row = assess(*make_trial(small_homes, 1, number), planner, {}, 4)
+        row = assess(*make_trial(small_homes, 1, number), make_planner(planner), 4)
         assert row["bound_s"] <= row["cost_s"] + 1e-3 * row["cost_s"]
         assert row["clairvoyant_s"] <= row["cost_s"] + 1e-3 * row["cost_s"]
         assert row["failed"] == 0
@@ -32,7 +33,7 @@ def test_one_robots_cost_is_not_below_its_bound_whatever_the_worlds(small_homes,
 
 def test_a_teams_row_is_the_same_again(small_homes):
     drawn = make_trial(small_homes, 2, 0)
-    first, again = (assess(*drawn, "nonlearned_myopic", {}, 3) for _ in range(2))
+    first, again = (assess(*drawn, make_planner("nonlearned_myopic"), 3) for _ in range(2))
     assert {**first, "bound_seconds": 0} == {**again, "bound_seconds": 0}
     assert first["kind"] == "team"
     assert first["bound_s"] > 0
@@ -47,7 +48,7 @@ def test_the_home_holds_what_the_world_says_and_keeps_what_the_task_does_not_nam
 
 def test_searches_come_with_the_state_before_them(small_homes):
     trial, home, home_map, likelihood = make_trial(small_homes, 1, 0)
-    result = run_episode(trial, home, home_map, likelihood, "nonlearned_myopic")
+    result = run_episode(trial, home, home_map, likelihood, make_planner("nonlearned_myopic"))
     automaton = build_automaton(trial.formula, trial.objects)
     searches = searches_of(result.trace, home, automaton)
     made = [leg for leg in result.trace.robots[0] if leg.kind == "search"]

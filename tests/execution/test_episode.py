@@ -10,7 +10,7 @@ from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
-from mrtask.planning.planners import PLANNERS
+from mrtask.planning.planners import PLANNERS, make_planner
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.execution.trace_check import check_trace
 
@@ -54,17 +54,17 @@ def test_traces_obey_the_world(world, planner, template, robots):
             templates=(template,),
             robot=RobotSpec(0.7, search_s, interact_s),
         )
-        result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+        result = run_episode(trial, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
         assert result.status == "accepted"
         check_trace(trial, home, home_map, result, known=planner == "known")
         assert Trace.from_json(result.trace.to_json()) == result.trace
-        again = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+        again = run_episode(trial, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
         assert (again.cost_s, again.trace, again.decisions) == (result.cost_s, result.trace, result.decisions)
 
 
 def test_the_check_catches_a_teleporting_robot(world):
     trial, home, home_map, likelihood = make_trial(world, "medium", 2, 0)
-    result = run_episode(trial, home, home_map, likelihood, "greedy")
+    result = run_episode(trial, home, home_map, likelihood, make_planner("greedy"))
     first = result.trace.robots[0]
     moves = [leg for leg in first if leg.kind == "move"]
     jumped = replace(moves[0], path=(moves[0].path[-1],))
@@ -76,7 +76,7 @@ def test_the_check_catches_a_teleporting_robot(world):
 
 def test_the_check_catches_a_robot_that_is_too_fast(world):
     trial, home, home_map, likelihood = make_trial(world, "medium", 2, 0)
-    result = run_episode(trial, home, home_map, likelihood, "greedy")
+    result = run_episode(trial, home, home_map, likelihood, make_planner("greedy"))
     slower = replace(trial, team=Team(2, RobotSpec(0.99 * trial.team.spec.speed_m_per_s)))
     with pytest.raises(AssertionError, match="faster than the robot"):
         check_trace(slower, home, home_map, result)
@@ -86,7 +86,7 @@ def test_the_check_catches_a_robot_that_is_too_fast(world):
 def test_an_object_that_is_nowhere_fails_with_its_name(world, planner):
     trial, home, home_map, likelihood = make_trial(world, "small", 2, 0, templates=["and2"])
     lost = replace(trial, objects=(trial.objects[0], "Unicorn"), formula=f"F {trial.objects[0]} & F Unicorn")
-    result = run_episode(lost, home, home_map, likelihood, planner, OPTIONS.get(planner))
+    result = run_episode(lost, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
     assert result.status == "failed"
     assert result.cost_s is None and "Unicorn" in result.error
     check_trace(lost, home, home_map, result)
@@ -95,28 +95,28 @@ def test_an_object_that_is_nowhere_fails_with_its_name(world, planner):
 def test_known_fails_at_once_when_an_object_is_nowhere(world):
     trial, home, home_map, likelihood = make_trial(world, "small", 1, 0, templates=["and2"])
     lost = replace(trial, objects=("Unicorn", "Dragon"), formula="F Unicorn & F Dragon")
-    result = run_episode(lost, home, home_map, likelihood, "known", OPTIONS["known"])
+    result = run_episode(lost, home, home_map, likelihood, make_planner("known", OPTIONS["known"]))
     assert (result.status, result.decisions) == ("failed", 1)
 
 
 def test_a_formula_true_from_the_start_costs_nothing(world):
     trial, home, home_map, likelihood = make_trial(world, "small", 2, 0, templates=["and2"])
     done = replace(trial, formula=f"true | F {trial.objects[0]}")
-    result = run_episode(done, home, home_map, likelihood, "pouct", OPTIONS["pouct"])
+    result = run_episode(done, home, home_map, likelihood, make_planner("pouct", OPTIONS["pouct"]))
     assert (result.status, result.cost_s, result.decisions) == ("accepted", 0.0, 0)
 
 
 def test_the_decision_limit_ends_an_episode_with_a_reason(world):
     trial, home, home_map, likelihood = make_trial(world, "large", 1, 0, templates=["and3"])
-    result = run_episode(trial, home, home_map, likelihood, "nonlearned_myopic", max_decisions=1)
+    result = run_episode(trial, home, home_map, likelihood, make_planner("nonlearned_myopic"), max_decisions=1)
     assert result.status == "failed"
     assert "decision limit of 1" in result.error
 
 
 def test_least_motion_is_the_driving_of_the_robot_that_drove_least(world):
     trial, home, home_map, likelihood = make_trial(world, "large", 3, 0, templates=["and3"], robot=RobotSpec(0.5))
-    timed = run_episode(trial, home, home_map, likelihood, "greedy")
-    least = run_episode(replace(trial, cost="least_motion"), home, home_map, likelihood, "greedy")
+    timed = run_episode(trial, home, home_map, likelihood, make_planner("greedy"))
+    least = run_episode(replace(trial, cost="least_motion"), home, home_map, likelihood, make_planner("greedy"))
     assert least.trace == timed.trace
     driven_m = [sum(dist(*ends) for leg in legs for ends in pairwise(leg.path)) for legs in timed.trace.robots]
     assert least.cost_cells == pytest.approx(min(driven_m) / 0.05, rel=1e-4)
@@ -127,7 +127,7 @@ def test_least_motion_is_the_driving_of_the_robot_that_drove_least(world):
 @pytest.mark.parametrize("planner", ["learned_myopic", "greedy", "pouct"])
 def test_containers_known_from_the_start_are_never_searched(world, planner):
     trial, home, home_map, likelihood = make_trial(world, "medium", 2, 1, unsearched_share=(0.0, 0.0))
-    result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+    result = run_episode(trial, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
     assert result.status == "accepted"
     check_trace(trial, home, home_map, result)
     known = {home.containers[index].id for index in trial.known}
@@ -140,6 +140,6 @@ def test_containers_known_from_the_start_are_never_searched(world, planner):
 def test_soft_ways_are_driven_as_the_map_has_them(world):
     trial, home, _, likelihood = make_trial(world, "small", 2, 0)
     soft = build_map(home, ways="soft")
-    result = run_episode(trial, home, soft, likelihood, "learned_myopic")
+    result = run_episode(trial, home, soft, likelihood, make_planner("learned_myopic"))
     assert result.status == "accepted"
     check_trace(trial, home, soft, result)

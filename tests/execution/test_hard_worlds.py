@@ -8,7 +8,7 @@ import pytest
 from mrtask.execution.episode import IDLE_DECISIONS_PER_ROBOT, run_episode
 from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import Trial
-from mrtask.planning.planners import PLANNERS
+from mrtask.planning.planners import PLANNERS, make_planner
 
 SEARCHES = {"samples": 500}
 OPTIONS = {"pouct": SEARCHES, "known": SEARCHES, "pouct_paper": SEARCHES}
@@ -41,7 +41,7 @@ def run(two_room_home, two_room_map):
             seed=1,
         )
         prior = np.broadcast_to(likelihood, (3, len(objects)))
-        return run_episode(trial, home, home_map, prior, planner, OPTIONS.get(planner))
+        return run_episode(trial, home, home_map, prior, make_planner(planner, OPTIONS.get(planner)))
 
     return run
 

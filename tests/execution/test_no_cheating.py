@@ -113,8 +113,7 @@ def run_watched(monkeypatch, trial, home, home_map, likelihood, planner, simulat
 
     watched = Watched(planner, simulations)
     monkeypatch.setattr(episode, "Simulation", make_simulation)
-    monkeypatch.setattr(episode, "make_planner", lambda *arguments: watched)
-    return episode.run_episode(trial, home, home_map, likelihood, "watched"), watched
+    return episode.run_episode(trial, home, home_map, likelihood, watched), watched
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +142,8 @@ def test_planners_cannot_see_the_truth(name, trials, monkeypatch):
 def test_a_planner_that_looks_for_the_truth_is_caught(trials, monkeypatch):
     class Peeking:
         def plan(self, problem, seed):
-            loop = sys._getframe(2).f_locals
-            return make_planner("greedy").plan(replace(problem, presence_prob=loop["simulation"].truth * 1.0), seed)
+            simulation = sys._getframe(2).f_locals["episode"]._simulation
+            return make_planner("greedy").plan(replace(problem, presence_prob=simulation.truth * 1.0), seed)
 
     with pytest.raises(AssertionError, match="the truth was read while planning"):
         run_watched(monkeypatch, *trials[0], Peeking())

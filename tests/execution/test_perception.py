@@ -12,7 +12,7 @@ from mrtask.execution.perception import Perception, Rates
 from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
-from mrtask.planning.planners import PLANNERS
+from mrtask.planning.planners import PLANNERS, make_planner
 from tests.execution.trace_check import check_trace
 
 OPTIONS = {"pouct": {"samples": 25}, "known": {"samples": 25}, "pouct_paper": {"samples": 25}}
@@ -184,7 +184,7 @@ def trials(generated_homes):
 def test_tasks_are_done_although_objects_are_missed_and_imagined(trials, planner):
     again = in_vain = 0
     for trial, home, home_map, likelihood in trials:
-        result = run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+        result = run_episode(trial, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
         assert result.status == "accepted", result.error
         check_trace(trial, home, home_map, result, known=planner == "known")
         legs = [leg for legs in result.trace.robots for leg in legs]
@@ -200,7 +200,7 @@ def test_an_object_that_is_nowhere_is_given_up(trials, planner):
     trial, home, home_map, likelihood = trials[0]
     spec = replace(trial.team.spec, perception=Perception(Rates(0.95, 0.0)))
     nowhere = replace(trial, template="formula", formula="F Unicorn", objects=("Unicorn",), team=Team(2, spec))
-    result = run_episode(nowhere, home, home_map, likelihood[:, :1], planner, OPTIONS.get(planner))
+    result = run_episode(nowhere, home, home_map, likelihood[:, :1], make_planner(planner, OPTIONS.get(planner)))
     assert result.status == "failed" and "found in no container that can be reached: Unicorn" in str(result.error)
     searches = [leg.container for legs in result.trace.robots for leg in legs if leg.kind == "search"]
     assert {searches.count(container.id) for container in home.containers} == {5}, "0.05^5 < 1e-6"
@@ -221,7 +221,7 @@ def test_all_planners_get_the_same_detections(trials):
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Belief, "learned", watched)
-            run_episode(trial, home, home_map, likelihood, planner, OPTIONS.get(planner))
+            run_episode(trial, home, home_map, likelihood, make_planner(planner, OPTIONS.get(planner)))
         for container, seen in learned:
             assert first.setdefault(container, seen) == seen
     truth = {index: tuple(name in one.objects for name in trial.objects) for index, one in enumerate(home.containers)}

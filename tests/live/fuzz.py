@@ -9,7 +9,6 @@ import random
 import numpy as np
 
 from mrtask.execution.perception import Perception, Rates
-from mrtask.execution.robot import LOST
 from mrtask.live.session import LiveSession
 
 KINDS = (
@@ -66,7 +65,7 @@ class Stream:
         robot = live.team.robots[index]
         container = rng.choice(list(live.containers))
         if rng.random() < 0.7:  # what fits the robot's order
-            place = robot.assignment.container if robot.mode == "move" else robot.place
+            place = robot.assignment.container if robot.moving else robot.place
             container = live.team.containers[place] if place >= 0 else container
         objects = [*live.setup.task.propositions, "Spoon"]
         place = {"x_m": rng.uniform(-1, 9), "y_m": rng.uniform(-1, 5)}
@@ -89,7 +88,7 @@ class Stream:
             "interaction_ended": {
                 "robot": live.names[index],
                 "container": container,
-                "object": live.setup.task.propositions[robot.obj] if robot.obj >= 0 else rng.choice(objects),
+                "object": live.setup.task.propositions[robot.act.obj] if robot.act.obj >= 0 else rng.choice(objects),
                 "status": rng.choice(["FINISHED", "FAILED"]),
                 "gone": rng.random() < 0.5,
             },
@@ -175,7 +174,7 @@ class Stream:
         if event["type"] in over and "before the robot was lost" not in answers[0]["reason"]:
             robot = self.live.team.robots[self.live.names.index(event["robot"])]
             told = {order["robot"] for order in news if order["type"] == "order"}
-            assert event["robot"] in told or robot.mode == LOST, "a robot that nobody tells what to do"
+            assert event["robot"] in told or robot.lost, "a robot that nobody tells what to do"
 
     def check_orders(self, news):
         live, team = self.live, self.live.team
@@ -183,7 +182,7 @@ class Stream:
             if order["type"] != "order":
                 continue
             robot = team.robots[live.names.index(order["robot"])]
-            assert robot.mode != LOST, "an order for a robot that is lost"
+            assert not robot.lost, "an order for a robot that is lost"
             if order["action"] == "navigate":
                 container = live.containers[order["container"]]
                 reached = team.home_map.cell_center(tuple(team.home_map.access[container]))

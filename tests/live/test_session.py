@@ -84,7 +84,7 @@ def test_state_is_kept_before_anything_is_said_and_the_log_replays(two_room_home
     entry = json.loads(lines[0])
     entry["lines"][1] = entry["lines"][1].replace("navigate", "wait")
     log.write_text("\n".join([json.dumps(entry), *lines[1:]]) + "\n")
-    with pytest.raises(InputError, match="line 1: it begins otherwise"):
+    with pytest.raises(InputError, match="line 1: it begins differently"):
         replay(live.setup, {"r1": (1.5, 1.5), "r2": (2.5, 1.5)}, log)
 
 

@@ -123,7 +123,7 @@ def test_an_object_that_is_gone_is_looked_for_elsewhere(live):
 def test_a_failed_search_is_tried_again_but_not_for_ever(live):
     begin(live)
     for attempt in range(40):
-        acting = [i for i, robot in enumerate(live.team.robots) if robot.mode != "free"]
+        acting = [i for i, robot in enumerate(live.team.robots) if not robot.free]
         if not acting:
             break
         robot = live.names[acting[0]]
@@ -245,13 +245,13 @@ def test_what_was_seen_is_kept_whoever_saw_it(live):
 def test_poses_move_the_robot_and_its_time_of_arrival(live):
     begin(live)
     robot = live.team.robots[0]
-    before_s = robot.until_s
+    before_s = robot.act.until_s
     cell = robot.route.cells[len(robot.route.cells) // 2]
     x_m, y_m = live.team.home_map.cell_center(cell)
     answer, orders = one(live, "pose", 10.0, robot="r1", x_m=x_m, y_m=y_m)
     assert answer.status == "accepted" and not orders, "the order stays"
     left_m = live.team.home_map.distances_m(cell)[robot.assignment.container]
-    assert robot.until_s == pytest.approx(10.0 + left_m, abs=1e-4) and robot.until_s != before_s
+    assert robot.act.until_s == pytest.approx(10.0 + left_m, abs=1e-4) and robot.act.until_s != before_s
     off, _ = one(live, "pose", 11.0, robot="r1", x_m=-50.0, y_m=0.0)
     assert off.status == "rejected" and "nearest such place" in off.reason
 

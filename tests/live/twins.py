@@ -11,7 +11,7 @@ from mrtask.execution.episode import run_episode
 from mrtask.execution.perception import Perception, Rates
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, home_order, key_seed, sample_trial
-from mrtask.planning.planners import PLANNERS
+from mrtask.planning.planners import PLANNERS, make_planner
 from tests.live.world import World, live_team, setup_of
 
 HONEST = [name for name in PLANNERS if name != "known"]
@@ -62,7 +62,7 @@ def play(live, world):
 def check_twins(trial, home, home_map, likelihood, planner):
     """Raises AssertionError where the live team does anything else than the simulated one; gives the decisions."""
     options = OPTIONS.get(planner)
-    simulated = run_episode(trial, home, home_map, likelihood, planner, options)
+    simulated = run_episode(trial, home, home_map, likelihood, make_planner(planner, options))
     live = live_team(setup_of(trial, home, home_map, likelihood, planner, options), trial)
     play(live, world_of(trial, home))
     assert live.team.accepted == (simulated.status == "accepted")

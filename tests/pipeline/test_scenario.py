@@ -15,6 +15,7 @@ from mrtask.execution.scenario import drawn_worlds, make_scenario
 from mrtask.execution.team_spec import Team
 from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import read_ros_map
+from mrtask.planning.planners import make_planner
 from pipeline import scenario
 from pipeline.app.given import SCENARIOS, scenario_names
 from pipeline.app.tool import main
@@ -61,7 +62,7 @@ def test_ways_through_the_apartments_are_as_long_as_the_published_ones(number: i
     )
     for planner, published_m in (("nonlearned_myopic", trial.myopic_m), ("known", trial.planner_m)):
         own = {"samples": 100} if planner == "known" else {}
-        result = run_episode(given.trial, given.home, given.home_map, given.likelihood, planner, own)
+        result = run_episode(given.trial, given.home, given.home_map, given.likelihood, make_planner(planner, own))
         assert scenario.metres(result)[0] == pytest.approx(published_m, abs=0.2)
 
 

@@ -146,7 +146,7 @@ def test_what_is_wrong_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     with pytest.raises(SuiteError, match=r"mrtask-2\.json\.gz is missing; install mrtask again"):
         load_suite("mrtask-2")
     for given, said in (
-        ([], "one planner is to be scored, given were none"),
+        ([], "give one planner to score, not none"),
         (["pouct", "speed=3"], "speed: no such key; allowed: options, suite, workers, trials_per_cell, out"),
         (["pouct", "workers=0"], "workers=0: must be a whole number, at least 1"),
         (["pouct", "options=[1]"], r"options=\[1\]: must be names and values"),

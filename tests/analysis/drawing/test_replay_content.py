@@ -23,6 +23,7 @@ from mrtask.execution.episode import run_episode
 from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import Trial
 from mrtask.homes.home import Container, Home, Room
+from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT, Plan
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula
@@ -47,7 +48,7 @@ def trial_of(home, home_map, robots=2, objects=OBJECTS):
 
 def played(trial, home, home_map, planner, options=None):
     recorder = Recorder()
-    result = run_episode(trial, home, home_map, PROBS, planner, options, observe=recorder)
+    result = run_episode(trial, home, home_map, PROBS, make_planner(planner, options), observe=recorder)
     return result, recorder, Episode(
         planner, result.status, result.cost_s, result.error, result.trace, recorder.decisions
     )  # fmt: skip
@@ -66,7 +67,7 @@ def replay(two_room_home, two_room_map):
 
 def test_watching_changes_nothing_and_sees_every_decision(two_room_home, two_room_map):
     trial = trial_of(two_room_home, two_room_map)
-    alone = run_episode(trial, two_room_home, two_room_map, PROBS, "pouct", {"samples": 200})
+    alone = run_episode(trial, two_room_home, two_room_map, PROBS, make_planner("pouct", {"samples": 200}))
     result, recorder, _ = played(trial, two_room_home, two_room_map, "pouct", {"samples": 200})
     assert (result.cost_s, result.trace, result.decisions) == (alone.cost_s, alone.trace, alone.decisions)
     assert len(recorder.decisions) == result.decisions
