@@ -16,7 +16,7 @@ from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash, with_overrides
-from pipeline.base.sections import OtherLikelihood, PlannerVariant
+from pipeline.base.sections import PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
 from pipeline.store import layout
 from pipeline.store.folder import Folder
@@ -50,8 +50,7 @@ class SharedRun:
         """Takes in an arm; a planner whose options an earlier arm has shares that one's rows."""
         names = {}
         for planner in planners:
-            likelihood = OtherLikelihood.model_validate(config.likelihood_of(planner).model_dump())
-            variant = PlannerVariant(planner=planner, options=config.planner_options(planner), likelihood=likelihood)
+            variant = PlannerVariant.of(config.spec(planner))
             known = next((name for name, other in self.variants.items() if other == variant), None)
             names[planner] = known or f"{planner}:{slug(arm)}"
             self.variants[names[planner]] = variant

@@ -37,10 +37,7 @@ def run(config: Config, session: Session) -> None:
     train.check(config.model, config.trainer)
     folder = Folder(config.output_dir)
     with locked(folder, config.cache_dir):
-        planners = config.evaluation.planners
-        with compiled_meanwhile(
-            {name: (config.planner_behind(name), config.planner_options(name)) for name in planners}
-        ):
+        with compiled_meanwhile(config.compared):
             home_set = timed("homes", lambda: homes.run(config, session))
             rows = timed("dataset", lambda: dataset.build(home_set, config.datasets_dir, session.pool))
             timed("train", lambda: train.train_on(rows, config))

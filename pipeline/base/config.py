@@ -8,7 +8,7 @@ starts. Defaults live in ``conf/`` alone. What the sections hold is in `pipeline
 import difflib
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -17,7 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.planning.planners import PLANNERS, make_planner
+from mrtask.likelihood.choice import LikelihoodChoice
+from mrtask.planning.planners import PLANNERS
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -79,22 +81,17 @@ class Config(Section):
     cluster: Cluster
     tracking: Tracking
 
-    def planner_options(self, name: str) -> dict[str, Any]:
-        """The options of one planner or variant; those of a planner of your own stand under its class's name."""
-        if (variant := self.planner_variants.get(name)) is not None:
-            return self.planner_options(variant.planner) | variant.options
-        return self.planner.get(name.rsplit(".", 1)[-1], {})
+    def spec(self, name: str) -> PlannerSpec:
+        """Resolve a planner or a variant; the options of a planner of your own stand under its class's name."""
+        variant = self.planner_variants.get(name, PlannerVariant(planner=name))
+        options = self.planner.get(variant.planner.rsplit(".", 1)[-1], {}) | variant.options
+        likelihood = self.likelihood.model_dump() | variant.likelihood.model_dump(exclude_none=True)
+        return PlannerSpec(name, variant.planner, options, LikelihoodChoice(**likelihood))
 
-    def planner_behind(self, name: str) -> str:
-        """The planner that a variant is one of; a planner's own name where it is none."""
-        variant = self.planner_variants.get(name)
-        return name if variant is None else variant.planner
-
-    def likelihood_of(self, name: str) -> Likelihood:
-        """The likelihoods that a planner or variant is given."""
-        variant = self.planner_variants.get(name)
-        other = variant.likelihood.model_dump(exclude_none=True) if variant else {}
-        return self.likelihood.model_copy(update=other)
+    @property
+    def compared(self) -> tuple[PlannerSpec, ...]:
+        """The planners of the evaluation."""
+        return tuple(self.spec(name) for name in self.evaluation.planners)
 
 
 def load(composed: DictConfig) -> Config:
@@ -145,20 +142,19 @@ def _check_planners(config: Config) -> None:
     for name in config.planner_variants:
         if name in PLANNERS:
             raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
-        _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
-    for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+        _check_planner(f"planner_variants.{name}", config.spec(name))
+    for spec in config.compared:
+        _check_planner("evaluation.planners", spec)
     for name in config.optimality.planners:
-        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
-    behind = {config.planner_behind(name) for name in config.evaluation.planners}
-    own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
+        _check_planner("optimality.planners", config.spec(name))
+    own = {spec.planner.rsplit(".", 1)[-1] for spec in config.compared if "." in spec.planner}
     for name in config.planner.keys() - own:
-        _check_planner("planner", name, config.planner[name])
+        _check_planner("planner", PlannerSpec(name, name, config.planner[name]))
 
 
-def _check_planner(key: str, name: str, options: Mapping[str, Any]) -> None:
+def _check_planner(key: str, spec: PlannerSpec) -> None:
     try:
-        make_planner(name, options)
+        spec.make()
     except ValueError as error:
         raise UserError(f"{key}: {error}") from error
 

@@ -1,21 +1,22 @@
 """Compiles the planners' kernels once, where no earlier run has left them, and several at once."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from mrtask.planning.planners import PLANNERS
-from mrtask.planning.warm_up import Compilation, Planners, kernels_missing
+from mrtask.planning.warm_up import Compilation, kernels_missing
 from pipeline.base import console
+from pipeline.base.planner_spec import PlannerSpec
 
 
 @contextmanager
-def compiled_meanwhile(planners: Planners) -> Iterator[None]:
+def compiled_meanwhile(planners: Iterable[PlannerSpec]) -> Iterator[None]:
     """Compiles what the planners need in other processes while the context runs, and waits for them at its end.
 
     A user's own planner is compiled where it plans.
     """
-    ours = {name: planner for name, planner in planners.items() if planner[0] in PLANNERS}
+    ours = {spec.name: (spec.planner, spec.options) for spec in planners if spec.planner in PLANNERS}
     if not ours or not kernels_missing():
         yield
         return

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,7 +10,6 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.given import GivenOptions
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
@@ -51,7 +50,7 @@ class EvaluationPlan:
     @property
     def planners(self) -> tuple[str, ...]:
         """The planners that are compared."""
-        return tuple(self.context.planner_options)
+        return tuple(self.context.planners)
 
     def missing(self, finished: Collection[Key]) -> list[EpisodeKey]:
         """The episodes that are not finished yet."""
@@ -89,10 +88,10 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     size_classes = _size_classes(options.size_classes, homes)
     identity = _identity(config, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
-    given = {name: GivenOptions(**config.likelihood_of(name).model_dump()) for name in options.planners}
+    planners = config.compared
     drawn = config.homes.source == "generated" and config.homes.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
-    if any(one.source == "truth" for one in given.values()):
+    if any(spec.likelihood.source == "truth" for spec in planners):
         truth = catalogue_truth() if drawn else counted_truth(unseen)
     context = Context(
         homes=unseen,
@@ -113,14 +112,12 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
             unsearched_share=options.unsearched_share,
             cost=options.cost,
         ),
-        planner_options={name: config.planner_options(name) for name in options.planners},
-        planners_behind={name: config.planner_behind(name) for name in options.planners},
+        planners={spec.name: spec for spec in planners},
         truth=build_table(truth, unseen, objects) if truth is not None else None,
-        given=given,
         home_order=options.homes.order,
         adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
         provenance=Provenance(
-            model.version, {name: identity.config_hash(name) for name in options.planners}, code_version()
+            model.version, {spec.name: identity.config_hash(spec.name) for spec in planners}, code_version()
         ),
     )
     return EvaluationPlan(
@@ -209,12 +206,9 @@ def _identity(
             "perception": config.perception.model_dump(),
         },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
-        planner={name: config.planner_options(name) for name in options.planners},
-        behind={name: config.planner_behind(name) for name in options.planners},
-        likelihood={
-            name: config.planner_variants[name].likelihood.model_dump() if name in config.planner_variants else {}
-            for name in options.planners
-        },
+        planner={spec.name: spec.options for spec in config.compared},
+        behind={spec.name: spec.planner for spec in config.compared},
+        likelihood={spec.name: asdict(spec.likelihood) for spec in config.compared},
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
         asked=(Asked(since=datetime.now(UTC).isoformat(timespec="seconds"), **asked),),

@@ -81,10 +81,10 @@ def rows_of(
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
     """Compiles the planners' kernels, once for all workers. A user's own planner runs in workers only."""
     firsts = {key.planner: key for key in reversed(missing)}
-    with compiled_meanwhile({name: context.planner(name) for name in firsts}):
+    with compiled_meanwhile(context.planners[name] for name in firsts):
         pass
     for name, key in firsts.items():
-        if context.planner(name)[0] in PLANNERS:
+        if context.planners[name].planner in PLANNERS:
             try:
                 warm(key, context)
             except Exception as error:  # the run goes on: its episodes will be rows of status error

@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from mrtask.analysis.studies.calibration import Task, beliefs_of
 from mrtask.bounds.assess import assess
 from mrtask.likelihood.adapt import Sighting
-from pipeline.episodes.worker import Context, EpisodeKey, bench_of, likelihood_given
+from pipeline.episodes.worker import Context, EpisodeKey, bench_of, planning_likelihood, setting
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
     """How far a planner is from optimal in a trial: the row of `mrtask.bounds.assess`."""
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home = bench.homes[trial.home_id]
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    return assess(trial, home, bench.map_of(trial.home_id), likelihood, *context.planner(key.planner), worlds)
+    spec = context.planners[key.planner]
+    return assess(*setting(key, context), spec.planner, spec.options, worlds)
 
 
 @dataclass(frozen=True)
@@ -38,9 +35,9 @@ class HomeTasks:
 
 def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
     """What the team believed at the beginning of each task, see `mrtask.analysis.studies.calibration.beliefs_of`."""
-    home = bench_of(context).homes[done.home_id]
+    home, spec = bench_of(context).homes[done.home_id], context.planners[done.planner]
 
     def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
-        return likelihood_given(home, task.objects, task.seed, done.planner, context, number, seen)
+        return planning_likelihood(home, task.objects, task.seed, spec, context, number, seen)
 
     return beliefs_of(home, done.tasks, believe)

@@ -7,10 +7,9 @@ find it ready.
 import resource
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,12 @@ from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
-from mrtask.likelihood.given import GivenOptions, given_likelihood
+from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 
 MAPS_KEPT = 8
@@ -78,21 +78,14 @@ class Context:
     maps: MapOptions
     seed: int
     trials: TrialOptions
-    planner_options: Mapping[str, Mapping[str, Any]]
+    planners: Mapping[str, PlannerSpec]
+    """By name."""
     provenance: Provenance
-    planners_behind: Mapping[str, str] = field(default_factory=dict)
-    """The planner that each name stands for; a name that is not here stands for itself."""
     truth: LikelihoodTable | None = None
-    """The true likelihoods, where a planner is given them."""
-    given: Mapping[str, GivenOptions] = field(default_factory=dict)
-    """Which likelihoods each planner is given; one that is not here, the model's."""
+    """The true likelihoods, where a planner plans with them."""
     home_order: str = "shuffled"
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
-
-    def planner(self, name: str) -> tuple[str, Mapping[str, Any]]:
-        """The planner behind a name, and its options."""
-        return self.planners_behind.get(name, name), self.planner_options.get(name, {})
 
 
 @dataclass(frozen=True)
@@ -138,12 +131,9 @@ def _run(
 ) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
     """An episode's row and what it showed, after what earlier tasks in its home showed."""
     began_s = time.perf_counter()
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home = bench.homes[trial.home_id]
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context, task, seen)
-    home_map = bench.map_of(trial.home_id)
-    result = run_episode(trial, home, home_map, likelihood, *context.planner(key.planner), observe=observe)
+    spec = context.planners[key.planner]
+    trial, home, home_map, likelihood = setting(key, context, task, seen)
+    result = run_episode(trial, home, home_map, likelihood, spec.planner, spec.options, observe=observe)
     start_x_m, start_y_m = result.trace.start
     row = replace(
         unfinished_row(key, context, result.status, result.error),
@@ -167,35 +157,44 @@ def _run(
     return row, sightings_of(home, task, result.searched, trial.objects)
 
 
-def likelihood_given(
+def setting(
+    key: EpisodeKey, context: Context, task: int = 0, seen: Sequence[Sighting] = ()
+) -> tuple[Trial, Home, HomeMap, NDArray[np.float64]]:
+    """Return what an episode runs on: the trial, its home and map, and the planner's likelihoods."""
+    bench = bench_of(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = planning_likelihood(
+        home, trial.objects, trial.seed, context.planners[key.planner], context, task, seen
+    )
+    return trial, home, bench.map_of(trial.home_id), likelihood
+
+
+def planning_likelihood(
     home: Home,
     objects: Sequence[str],
     seed: int,
-    planner: str,
+    spec: PlannerSpec,
     context: Context,
     task: int = 0,
     seen: Sequence[Sighting] = (),
 ) -> NDArray[np.float64]:
-    """``P(object in container)``, ``[C, O]``, as a planner is given it: corrected by what was seen if beliefs adapt."""
-    options = context.given.get(planner, GivenOptions())
-    table = context.table if options.source == "model" else context.truth
+    """Return the planner's ``P(object in container)``, ``[C, O]``; where beliefs adapt, ``seen`` corrects it."""
+    table = context.table if spec.likelihood.source == "model" else context.truth
     if table is None:
-        raise ValueError(f"{planner} is to be given the true likelihoods, which this evaluation has not got")
+        raise ValueError(f"{spec.name} plans with the true likelihoods, which this evaluation does not have")
     known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
     kinds = home.container_kinds()
-    prior = given_likelihood(table.matrix(home, known), kinds, options, key_seed(seed, "likelihood"))
+    prior = chosen_likelihood(table.matrix(home, known), kinds, spec.likelihood, key_seed(seed, "likelihood"))
     if context.adapt is None or not seen:
         return prior[:, : len(objects)]
     return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(objects)]
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
-    """Compiles what the planner needs."""
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    warm_up(trial, home, home_map, likelihood, *context.planner(key.planner))
+    """Compile what the planner needs."""
+    spec = context.planners[key.planner]
+    warm_up(*setting(key, context), spec.planner, spec.options)
 
 
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:

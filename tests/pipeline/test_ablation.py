@@ -49,7 +49,7 @@ def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_pla
     applied = part.configured()
     assert applied.evaluation.unsearched_share == (0.5, 1.0)
     assert applied.evaluation.planners == tuple(part.variants)
-    assert applied.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
+    assert applied.spec("nonlearned_myopic:authors").options["return_to_known"] == "when_complete"
     assert applied.output_dir != whole.configured().output_dir
 
 
@@ -68,7 +68,7 @@ def test_arms_can_differ_in_what_planners_are_given() -> None:
     assert list(shared.variants) == ["pouct:as-it-is", "pouct:noisy"]
     applied = shared.configured()
     assert applied.likelihood.noise_sd == 0
-    assert [applied.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
+    assert [applied.spec(name).likelihood.noise_sd for name in shared.variants] == [0, 2]
 
 
 def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:

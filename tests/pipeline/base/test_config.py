@@ -102,7 +102,7 @@ def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: l
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
     planners = "evaluation.planners=[tests.pipeline.own_planners.Gated]"
     config = configured(planners, "+planner.Gated.gate=there")
-    assert config.planner_options("tests.pipeline.own_planners.Gated") == {"gate": "there"}
+    assert config.spec("tests.pipeline.own_planners.Gated").options == {"gate": "there"}
     with pytest.raises(UserError, match=r"own_planners\.Gated.*door"):
         configured(planners, "+planner.Gated.door=there")
 
@@ -125,8 +125,8 @@ def test_content_hash_depends_on_values_not_on_order() -> None:
 def test_a_variant_has_its_planners_options_but_for_its_own() -> None:
     variant = "+planner_variants.still={planner: pouct, options: {reassign: free}}"
     config = configured(variant, "evaluation.planners=[pouct,still]", "planner.pouct.samples=7")
-    assert config.planner_options("still") == config.planner_options("pouct") | {"reassign": "free"}
-    assert (config.planner_behind("still"), config.planner_behind("pouct")) == ("pouct", "pouct")
+    assert config.spec("still").options == config.spec("pouct").options | {"reassign": "free"}
+    assert (config.spec("still").planner, config.spec("pouct").planner) == ("pouct", "pouct")
     with pytest.raises(UserError, match=r"planner_variants.greedy: is a planner's own name"):
         configured("+planner_variants.greedy={planner: pouct, options: {}}")
     with pytest.raises(UserError, match=r"planner_variants.still: planner 'pouct' refuses its options.*pace"):
