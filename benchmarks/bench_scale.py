@@ -34,7 +34,8 @@ from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
 from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import Cluster
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_one, warm
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_one, warm
+from pipeline.store.maps import MapOptions
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12

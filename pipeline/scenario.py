@@ -28,7 +28,7 @@ from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 from mrtask.tasks.automaton import build_automaton
-from pipeline.app.given import GivenTrial, scenario_files
+from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.tool import load_options, main, overrides
 from pipeline.base import console
 from pipeline.base.config import UserError
@@ -40,7 +40,7 @@ BASELINE = "nonlearned_myopic"
 def run(arguments: Sequence[str]) -> None:
     """The tool."""
     given = overrides(arguments, VERBATIM)
-    options = load_options(GivenTrial, scenario_files(given, "scenario.yaml"), given)
+    options = load_options(ScenarioOptions, scenario_files(given, "scenario.yaml"), given)
     folder = options.output_dir / (options.name or options.map.stem)
     home = read_map_worlds(options.map, options.containers, 1, options.seed)[0]
     scenario = make_scenario(
@@ -86,7 +86,9 @@ def run(arguments: Sequence[str]) -> None:
     console.line(f"-> {console.shown(folder)}")
 
 
-def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, observe: Recorder | None) -> EpisodeResult:
+def _run(
+    scenario: Scenario, name: str, options: ScenarioOptions, number: int, observe: Recorder | None
+) -> EpisodeResult:
     """The episode of the seed of this number."""
     trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
     return run_episode(
@@ -148,7 +150,7 @@ def _replay(
     scenario: Scenario,
     results: Mapping[str, EpisodeResult],
     recorders: Mapping[str, Recorder],
-    options: GivenTrial,
+    options: ScenarioOptions,
     command: str,
 ) -> str:
     """The page of all planners side by side."""

@@ -12,7 +12,6 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -20,18 +19,17 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrtask.errors import InputError
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
 from mrtask.files import default_cache_dir
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
+from pipeline.base.config import CONF_DIR
 from pipeline.base.sections import Cluster
 
-CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
-USER_ERROR_EXIT = 2
 
 
 def main(module_name: str) -> None:
@@ -41,12 +39,12 @@ def main(module_name: str) -> None:
         with interrupt.remembered():
             hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(_fail(error))
+        sys.exit(refuse(_friendly(str(error))))
     except KeyboardInterrupt as stop:
         if running := sweep.under_way():
             running.interrupted(stop)
         print(interrupt.MESSAGE, file=sys.stderr)
-        sys.exit(interrupt.INTERRUPT_EXIT)
+        sys.exit(INTERRUPT_EXIT)
 
 
 class _Workers:
@@ -65,12 +63,6 @@ class _Workers:
         return self._pool
 
 
-def _fail(error: Exception) -> int:
-    """Prints a user's mistake; returns the exit code."""
-    print(f"error: {_friendly(str(error))}", file=sys.stderr)
-    return USER_ERROR_EXIT
-
-
 def _task(module_name: str) -> Callable[[DictConfig], None]:
     workers = _Workers()
 
@@ -83,9 +75,9 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
             if running := sweep.under_way():
                 running.run_cell(stage, config, HydraConfig.get().overrides.task, pool)
             else:
-                stage.run(config, Session(pool))
+                stage.start(config, Session(pool))
         except InputError as error:
-            sys.exit(_fail(error))
+            sys.exit(refuse(_friendly(str(error))))
 
     return task
 

@@ -21,9 +21,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrtask.errors import InputError
+from mrtask.errors import InputError, refuse
 from pipeline.app.stage import Cell, Session, Stage
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import console
@@ -57,10 +57,10 @@ class Sweep:
         cell = Cell(text, _without_groups(text, self.swept), self.parent_run_id)
         try:
             own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
-            stage.run(config.model_copy(update=own_folder), Session(pool, cell))
+            stage.start(config.model_copy(update=own_folder), Session(pool, cell))
         except InputError as error:
             self.failed.append(f"{text}: {error}")
-            print(f"error: {error}", file=sys.stderr)
+            refuse(error)
         else:
             if not config.dry_run:
                 self.compare_cells = stage.compare_cells
@@ -71,9 +71,8 @@ class Sweep:
             self.compare_cells(self.config, self.parent_run_id)
         self.cleanup.close()
         if self.failed:
-            headline = f"error: {len(self.failed)} of {self.cells} cells failed:"
-            print("\n".join([headline, *self.failed]), file=sys.stderr)
-            sys.exit(2)
+            headline = f"{len(self.failed)} of {self.cells} cells failed:"
+            sys.exit(refuse("\n".join([headline, *self.failed])))
 
     def interrupted(self, error: BaseException) -> None:
         """Marks the sweep's MLflow run as killed."""
@@ -116,8 +115,7 @@ def _errors_end_the_process() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(refuse(error))
     except Exception:
         traceback.print_exc()
         sys.exit(1)
@@ -146,9 +144,9 @@ def _open(overrides: list[str]) -> Sweep:
     opened = Sweep(swept, configs[0], len(batch))
     console.headline("sweep", f"{len(batch)} cells over {', '.join(sorted(swept)) or 'nothing'}")
     if not opened.config.dry_run:
-        store = tracking.open_tracking(opened.config.tracking.uri, opened.config.tracking.experiment_name)
+        tracking = runs.open_tracking(opened.config.tracking.uri, opened.config.tracking.experiment_name)
         tags = {"stage": "sweep", "output_dir": opened.config.output_dir}
-        run = tracking.run(store, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
+        run = runs.run(tracking, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
         opened.parent_run_id = opened.cleanup.enter_context(run).run_id
     return opened
 

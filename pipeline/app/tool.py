@@ -15,11 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
-from mrtask.errors import InputError
-from pipeline.base.config import UserError, explain_error, suggest
-
-CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
-USER_ERROR_EXIT, INTERRUPT_EXIT = 2, 130
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
+from pipeline.base.config import CONF_DIR, UserError, explain_error, suggest
 
 _Options = TypeVar("_Options", bound=BaseModel)
 
@@ -34,8 +31,7 @@ def main(run: Callable[[Sequence[str]], None], help_text: str) -> None:
     try:
         run(sys.argv[1:])
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(USER_ERROR_EXIT)
+        sys.exit(refuse(error))
     except KeyboardInterrupt:
         sys.exit(INTERRUPT_EXIT)
 

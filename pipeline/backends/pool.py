@@ -13,20 +13,17 @@ import socket
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import FrameType, TracebackType
-from typing import Any, Generic, Literal, TypeVar
-
-os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+from typing import Any, Generic, Literal, TypeVar, cast
 
 import ray
 from ray.exceptions import RayError, RayTaskError
 
-from pipeline.base import interrupt
+from pipeline.base import console, interrupt
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
 
@@ -114,6 +111,10 @@ class TaskTimeoutError(Exception):
     """Raised inside an item's run that has reached its time limit."""
 
 
+class ItemError(RuntimeError):
+    """An item failed whose value is needed."""
+
+
 class Pool:
     """Workers of one cluster; Ray starts with the first task and stops when the pool is closed."""
 
@@ -188,6 +189,31 @@ class Pool:
             if not (self._owns_ray and interrupt.requested()):
                 for reference in in_flight:
                     ray.cancel(reference, force=True)
+
+    def values(
+        self,
+        function: Callable[..., Value],
+        items: Sequence[Item],
+        *shared: Any,
+        unit: str,
+        named: Callable[[Item], object] = str,
+    ) -> Iterator[tuple[Item, Value]]:
+        """Run ``function(item, *shared)`` for each item and yield items with their values as they finish.
+
+        A progress bar counts them in ``unit``; ``named`` says in an error which item it was.
+
+        Raises:
+            ItemError: an item failed, after all its retries.
+        """
+        with console.Progress(len(items), unit) as progress:
+            for outcome in self.run(function, items, *shared):
+                if outcome is None:
+                    progress.update(0)
+                    continue
+                if outcome.failure is not None:
+                    raise ItemError(f"{unit}: {named(outcome.item)} failed: {outcome.failure.message}")
+                progress.update()
+                yield outcome.item, cast(Value, outcome.value)
 
     def _settle(self, batch: _Batch[Item], reference: Any, pace: _Pace) -> Iterator[Outcome[Item, Value] | _Try[Item]]:
         """The outcomes of a batch, and what of it is to run again."""

@@ -39,6 +39,9 @@ from pipeline.base.sections import (
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
 from pipeline.base.values import LocalPath, Location, Section, absolute
 
+CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
+"""The folder with the defaults of all keys."""
+
 
 class UserError(InputError):
     """A mistake in the configuration, or in what it points to."""

@@ -24,6 +24,12 @@ def line(text: str) -> None:
     print(INDENT + text, flush=True)
 
 
+def text(lines: str) -> None:
+    """Print several lines below the headline."""
+    for one in lines.splitlines():
+        line(one)
+
+
 def result(path: object, seconds: float) -> None:
     """Closes a stage: where its result is."""
     line(f"-> {path} ({duration(seconds)})")

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPT_EXIT = 130
+from mrtask.errors import INTERRUPT_EXIT
+
 MESSAGE = "\ninterrupted; the same command continues from here"
 
 _requested = False

@@ -1,7 +1,7 @@
 """What workers do for `pipeline.optimality` and `pipeline.priors`.
 
-Apart from `pipeline.episodes.worker`, since these need libraries that an evaluation's workers do without: seconds of
-their start and memory of each.
+This is not part of `pipeline.episodes.worker`, because it needs libraries that an evaluation's workers do without; they
+would cost seconds at the start and memory in each worker.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from pipeline.episodes.worker import Context, EpisodeKey, bench_of, planning_lik
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
-    """How far a planner is from optimal in a trial: the row of `mrtask.bounds.assess`."""
+    """Return how far a planner is from optimal in a trial, as the row of `mrtask.bounds.assess`."""
     spec = context.planners[key.planner]
     return assess(*setting(key, context), spec.planner, spec.options, worlds)
 
@@ -34,7 +34,7 @@ class HomeTasks:
 
 
 def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
-    """What the team believed at the beginning of each task, see `mrtask.analysis.studies.calibration.beliefs_of`."""
+    """Return what the team believed when each task began, see `mrtask.analysis.studies.calibration.beliefs_of`."""
     home, spec = bench_of(context).homes[done.home_id], context.planners[done.planner]
 
     def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:

@@ -1,7 +1,6 @@
-"""One episode as a worker runs it: from its key and what all episodes share to one row of the results.
+"""Runs one episode in a worker: from its key and what all episodes share to one row of the results.
 
-A worker keeps what it has read or computed (homes by class, the last maps and trials), so that the planners of a trial
-find it ready.
+A worker keeps what it has read or computed (homes by class, the last maps and trials) for the trial's other planners.
 """
 
 import resource
@@ -9,7 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +18,11 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
 from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
-from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
 from pipeline.base.planner_spec import PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
+from pipeline.store.maps import MapOptions
 
 MAPS_KEPT = 8
 TRIALS_KEPT = 64
@@ -32,7 +30,7 @@ TRIALS_KEPT = 64
 
 @dataclass(frozen=True)
 class EpisodeKey:
-    """Which episode: the trial's cell and number, and the planner. Nothing else decides what happens in it."""
+    """Which episode: the trial's cell and number, and the planner's name. Nothing else decides what happens in it."""
 
     size_class: str
     robots: int
@@ -43,20 +41,6 @@ class EpisodeKey:
     def trial_id(self) -> str:
         """The trial's key, shared by all planners."""
         return trial_id(self.size_class, self.robots, self.number)
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """How homes are mapped, and where maps are kept on each machine."""
-
-    resolution_m: float
-    robot_radius_m: float
-    cache_dir: Path
-    ways: str = "shortest"
-
-    def map_of(self, home: Home) -> HomeMap:
-        """The home's map, from the cache where it is there."""
-        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m, self.ways)
 
 
 @dataclass(frozen=True)
@@ -90,7 +74,7 @@ class Context:
 
 @dataclass(frozen=True)
 class MappedHome:
-    """What mapping a home has shown."""
+    """What a home's map shows."""
 
     home_id: str
     size_class: str
@@ -99,7 +83,7 @@ class MappedHome:
 
 
 def map_home(number: int, context: Context) -> MappedHome:
-    """Maps a home into the cache."""
+    """Map the home of this number into the cache."""
     home = context.homes[number]
     reachable = context.maps.map_of(home).reachable
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
@@ -108,9 +92,9 @@ def map_home(number: int, context: Context) -> MappedHome:
 def run_chain(
     keys: tuple[EpisodeKey, ...], context: Context, observe: Observer | None = None
 ) -> tuple[EpisodeRow, ...]:
-    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before.
+    """Return the rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from the earlier.
 
-    ``observe`` is called at each decision of the last.
+    ``observe`` is called at each decision of the last one.
     """
     seen: list[Sighting] = []
     rows = []
@@ -122,14 +106,14 @@ def run_chain(
 
 
 def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet."""
+    """Return the row of a finished episode, accepted or failed, of a team that knows nothing of the home yet."""
     return _run(key, 0, (), context)[0]
 
 
 def _run(
     key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context, observe: Observer | None = None
 ) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
-    """An episode's row and what it showed, after what earlier tasks in its home showed."""
+    """Return an episode's row and what it showed, given what earlier tasks in the home showed."""
     began_s = time.perf_counter()
     spec = context.planners[key.planner]
     trial, home, home_map, likelihood = setting(key, context, task, seen)
@@ -198,7 +182,7 @@ def warm(key: EpisodeKey, context: Context) -> None:
 
 
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
-    """The row of an episode of which nothing more is known; all that it takes is there in the driver too."""
+    """Return the row of an episode of which nothing more is known; the driver can make it too."""
     made_by = context.provenance
     return EpisodeRow(
         trial_id=key.trial_id,
@@ -214,7 +198,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
 
 
 class Bench:
-    """A context unpacked in one worker."""
+    """A context as one worker uses it."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -242,10 +226,10 @@ class Bench:
 
 @lru_cache(maxsize=1)
 def bench_of(context: Context) -> Bench:
-    """A worker's only one at a time."""
+    """Return the bench of a context; a worker keeps one at a time."""
     return Bench(context)
 
 
 def formula_objects(formula: str) -> tuple[str, ...]:
-    """The objects of a formula in order of appearance; raises `FormulaError` when it is none."""
+    """Return the objects of a formula in order of appearance; raises `FormulaError` where the formula is wrong."""
     return build_automaton(formula).propositions

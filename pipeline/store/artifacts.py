@@ -20,6 +20,10 @@ MANIFEST = "manifest.json"
 R = TypeVar("R", bound=Record)
 
 
+class NotMade(UserError):
+    """Something that a dry run would have to make first."""
+
+
 def find_manifest(folder: Path, kind: type[R]) -> R | None:
     """The manifest of a finished folder; None where there is none that this version can read, so that it is made."""
     path = folder / MANIFEST

@@ -81,6 +81,12 @@ def voted_contents(options: Contents, datasets_dir: Path) -> VotedContents:
     return found
 
 
+def needs_download(options: Contents, datasets_dir: Path) -> bool:
+    """Tell whether a file of the configured votes is neither given nor downloaded yet."""
+    wanted = {VOTES_FILE: options.file} | ({} if options.objects == ALL else {SPLITS_FILE: options.splits})
+    return any(path is None and not (datasets_dir / FOLDER / name).is_file() for name, path in wanted.items())
+
+
 def votes_by_split(options: Contents, datasets_dir: Path) -> dict[str, Votes]:
     """The configured votes on the objects of each split; raises as `voted_contents` does."""
     _, votes = _votes_in(options, datasets_dir)

@@ -16,7 +16,8 @@ from mrtask.likelihood.table import build_table
 from pipeline.base.planner_spec import PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_chain, run_one
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
+from pipeline.store.maps import MapOptions
 from tests.pipeline.harness import Cli, Workspace
 
 TASKS = 3

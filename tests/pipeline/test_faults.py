@@ -14,7 +14,7 @@ import pandas as pd
 import psutil
 import pytest
 
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.store import rows as results
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.own_planners import Gate
@@ -133,9 +133,9 @@ def test_a_driver_stopped_again_and_again_goes_on(workspace: Workspace, cli: Cli
         finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
         assert len(finished) == len(before)
         assert (finished["planning_s"] == finished["planning_s_before"]).all(), "a finished row was run again"
-    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
-    runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
-    assert sorted(run.info.status for run in runs) == ["FINISHED", "KILLED", "KILLED"]
+    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    found = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
+    assert sorted(run.info.status for run in found) == ["FINISHED", "KILLED", "KILLED"]
 
 
 def rows_until_stopped(

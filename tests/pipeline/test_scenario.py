@@ -16,7 +16,7 @@ from mrtask.execution.team_spec import Team
 from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import read_ros_map
 from pipeline import scenario
-from pipeline.app.given import SCENARIOS, scenario_names
+from pipeline.app.map_task import SCENARIOS, scenario_names
 from pipeline.app.tool import main
 
 

@@ -11,10 +11,9 @@ from mrtask.likelihood.options import TrainingOptions
 from mrtask.planning.paper.planner import PaperOptions
 from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
-from pipeline import train
-from pipeline.app.main import CONF_DIR
-from pipeline.base.config import UserError, content_hash, load
+from pipeline.base.config import CONF_DIR, UserError, content_hash, load
 from pipeline.base.sections import ModelKind
+from pipeline.inputs.training import training
 from tests.pipeline.configured import composed_by_hydra, configured
 
 CHOICES = sorted(path for path in CONF_DIR.glob("*/*.yaml") if len(list(path.parent.glob("*.yaml"))) > 1)
@@ -112,7 +111,7 @@ def test_model_kinds_and_training_options_fit_the_library() -> None:
     for kind in KINDS:
         assert configured(f"model={kind}").model.kind == kind
     config = configured("model=mlp", "seed=3", "trainer.max_epochs=7")
-    options = train.training_options(config.model, config.trainer, config.seed, config.cache_dir)
+    options = training(config).options()
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
 

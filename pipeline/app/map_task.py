@@ -1,4 +1,4 @@
-"""The options that tools on one given map share, and what comes of them: the home, its map, the likelihood model."""
+"""The options that tools on one map share, and what they lead to: the home, its map, the likelihood model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +14,7 @@ from mrtask.likelihood.model import LikelihoodModel
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
-from pipeline.app.tool import CONF_DIR
-from pipeline.base.config import UserError
+from pipeline.base.config import CONF_DIR, UserError
 
 SCENARIOS = CONF_DIR / "scenario"
 CATALOGUE, UNIFORM = "catalogue", "uniform"
@@ -31,7 +30,7 @@ def _existing(path: Path) -> Path:
     return path
 
 
-class Given(BaseModel):
+class MapTask(BaseModel):
     """A map, a task in words and a team: ``conf/scenario.yaml`` says what each key is."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
@@ -77,13 +76,12 @@ class Given(BaseModel):
             return None
         if self.likelihood == CATALOGUE:
             return catalogue_model()
-        from pipeline.backends import tracking  # MLflow takes seconds to import
+        from pipeline.backends import registry, runs  # MLflow takes seconds to import
 
-        store = tracking.open_tracking(self.tracking_uri, "mrtask")
-        return tracking.load_registered(store, self.likelihood).model
+        return registry.load_registered(runs.open_tracking(self.tracking_uri, "mrtask"), self.likelihood).model
 
 
-class GivenTrial(Given):
+class ScenarioOptions(MapTask):
     """The options of `pipeline.scenario`."""
 
     robots: int = Field(ge=1)
