@@ -1,7 +1,7 @@
-"""Makes a stage module runnable: ``python -m pipeline.<stage>`` as a Hydra app with one way to report mistakes.
+"""Makes a stage module runnable: ``python -m pipeline.<stage>`` as a Hydra app that reports mistakes in one way.
 
-A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2; an interrupt
-in 130; anything else is a bug and keeps its traceback.
+A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2, an interrupt
+in exit code 130; anything else is a bug and keeps its traceback.
 """
 
 import atexit
@@ -33,7 +33,7 @@ FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
 
 
 def main(module_name: str) -> None:
-    """Runs the module's ``STAGE`` with the configuration from the command line."""
+    """Run the module's ``STAGE`` with the configuration from the command line."""
     _prepare_process(module_name)
     try:
         with interrupt.remembered():
@@ -48,7 +48,7 @@ def main(module_name: str) -> None:
 
 
 class _Workers:
-    """The pool of the cluster in use; the cells of a sweep share it, and it ends with the process."""
+    """Keeps the pool of the cluster in use; the cells of a sweep share it, and it ends with the process."""
 
     def __init__(self) -> None:
         self._cluster: Cluster | None = None
@@ -56,7 +56,7 @@ class _Workers:
         atexit.register(self._open.close)
 
     def of(self, cluster: Cluster) -> Pool:
-        """The workers of this cluster, in place of those of another."""
+        """Return the workers of this cluster, after closing those of another."""
         if cluster != self._cluster:
             self._open.close()
             self._cluster, self._pool = cluster, self._open.enter_context(Pool(cluster))
@@ -69,7 +69,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
     def task(composed: DictConfig) -> None:
         try:
             config = schema.load(composed)
-            # Imported by name also when it is __main__, so that what it sends to workers is found there.
+            # Imported by name even when it is __main__, so that workers find what it sends them.
             stage: Stage = importlib.import_module(module_name).STAGE
             pool = workers.of(config.cluster)
             if running := sweep.under_way():
@@ -83,7 +83,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
 
 
 def _prepare_process(module_name: str) -> None:
-    # Exceptions come to `main` instead of Hydra's own printing.
+    # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = [_for_hydra(argument) for argument in sys.argv]
     if not sys.warnoptions:
@@ -101,7 +101,7 @@ def _prepare_process(module_name: str) -> None:
 
 
 def _for_hydra(argument: str) -> str:
-    """An argument as Hydra's grammar has it: formulas and tasks in quotes, which the shell has taken away."""
+    """Return an argument in Hydra's grammar: formulas and tasks in quotes, which the shell has removed."""
     if argument == "--dry-run":
         return "dry_run=true"
     key, equals, text = argument.partition("=")
@@ -110,17 +110,17 @@ def _for_hydra(argument: str) -> str:
         return argument
     if name == TASK_KEY:
         return f"{key}='{text.strip()}'"
-    # A comma is no part of a formula, as it is of words: it separates those of a sweep.
+    # In a formula, unlike in words, a comma can only separate the values of a sweep.
     return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
 
 
 def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:
-    """An override with its key's group."""
+    """Return an override with its key's group."""
     key, equals, value = argument.partition("=")
     return f"{shorthands.get(key, key)}{equals}{value}"
 
 
 def _friendly(message: str) -> str:
-    """Hydra's refusal of an unknown key, with the keys that exist."""
+    """Return a message; if Hydra refuses an unknown key, with the keys that exist."""
     unknown = re.search(r"Could not override '([^']+)'", message)
     return schema.explain_unknown_key(unknown[1]) if unknown else message.partition("\n\nConfig search path")[0]

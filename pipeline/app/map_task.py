@@ -31,7 +31,7 @@ def _existing(path: Path) -> Path:
 
 
 class MapTask(BaseModel):
-    """A map, a task in words and a team: ``conf/scenario.yaml`` says what each key is."""
+    """A map, a task in words and a team; ``conf/scenario.yaml`` explains each key."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
@@ -63,15 +63,15 @@ class MapTask(BaseModel):
 
     @property
     def spec(self) -> RobotSpec:
-        """What the robots are like."""
+        """The robots' speed and times."""
         return RobotSpec(self.speed_m_per_s, self.search_time_s, self.interact_time_s)
 
     def map_of(self, home: Home) -> HomeMap:
-        """The home's map, from the cache where it is there."""
+        """Return the home's map, from the cache if it is there."""
         return cached_map(home, default_cache_dir() / "maps", self.resolution_m, self.robot_radius_m)
 
     def model(self) -> LikelihoodModel | None:
-        """The likelihood model, None for ``uniform``; raises `InputError` where a registered one cannot be used."""
+        """Return the likelihood model, None for ``uniform``; raises `InputError` where a registered one is unusable."""
         if self.likelihood == UNIFORM:
             return None
         if self.likelihood == CATALOGUE:
@@ -104,19 +104,19 @@ class ScenarioOptions(MapTask):
         return self
 
     def options_of(self, planner: str) -> dict[str, Any]:
-        """The options of a planner; those of one's own stand under its class's name."""
+        """Return the options of a planner; those of a planner of your own stand under its class's name."""
         return self.planner.get(planner.rsplit(".", 1)[-1], {})
 
 
 def scenario_names() -> list[str]:
-    """The scenarios that come with the project."""
+    """Return the names of the scenarios that come with the project."""
     return sorted(path.parent.name for path in SCENARIOS.glob("*/scenario.yaml"))
 
 
 def scenario_files(given: dict[str, Any], defaults: str) -> Sequence[Path]:
-    """The files with the options' defaults: ``conf/<defaults>``, then those of the scenario that ``name`` asks for.
+    """Return the files with the options' defaults: ``conf/<defaults>``, then those of the scenario called ``name``.
 
-    ``given`` gets the paths of the scenario's map and containers, unless it has others.
+    This adds the paths of the scenario's map and containers to ``given``, unless it has others.
 
     Raises:
         UserError: there is no such scenario.

@@ -59,12 +59,12 @@ _NOT_THE_LIBRARY = ("__pycache__", "*.nbi", "*.nbc", "pipeline", "conf", "suite"
 
 
 class ChampionError(UserError, ValueError):
-    """The model that was asked for is missing, damaged, or no container-object likelihood."""
+    """The requested model is missing, damaged, or no container-object likelihood."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """What became of a new model: its version, whether it is champion now, and why (with the numbers)."""
+    """The result of registering a model: its version, whether it is champion now, and why (with the numbers)."""
 
     version: str
     promoted: bool
@@ -73,7 +73,7 @@ class Registration:
 
 @dataclass(frozen=True, eq=False)
 class RegisteredModel:
-    """A model from the registry, its version, and the ids of the homes that it was trained on (or stopped by)."""
+    """A model from the registry, its version, and the ids of the homes that served its training or early stopping."""
 
     model: LikelihoodModel
     version: str
@@ -84,8 +84,8 @@ def register_model(run: Run, trained: TrainedModel, dataset: Dataset) -> Registr
     """Store the model with the run as a new version and make it champion if the rule allows.
 
     The artifacts are complete before the version exists, and the comparison with the champion and its replacement are
-    one step for all processes that share the store's folder, so neither half a model nor a lost promotion can come of
-    two trainings at once.
+    one step for all processes that share the store's folder, so two trainings at once
+    can neither leave half a model nor lose a promotion.
     """
     info = _log_model(trained, dataset)
     client = mlflow.MlflowClient()
@@ -108,7 +108,7 @@ def register_model(run: Run, trained: TrainedModel, dataset: Dataset) -> Registr
 def load_registered(
     tracking: Tracking, model_uri: str = CHAMPION_URI, cache_dir: Path | None = None
 ) -> RegisteredModel:
-    """The model of a ``models:/`` or ``runs:/`` URI, checked; raises ``ChampionError`` saying what is wrong with it."""
+    """Return the checked model of a ``models:/`` or ``runs:/`` URI; raises ``ChampionError`` saying what is wrong."""
     mlflow.set_tracking_uri(tracking.uri)
     try:
         pinned, version = _pin(model_uri)
@@ -148,7 +148,7 @@ def version_uri(version: str) -> str:
 
 
 def set_champion(tracking: Tracking, version: str) -> None:
-    """Point ``champion`` at a version, whatever its numbers: the way back to an earlier model."""
+    """Point ``champion`` at a version, whatever its metrics: the way back to an earlier model."""
     load_registered(tracking, version_uri(version))
     with FileLock(tracking.lock_path, timeout=LOCK_TIMEOUT_S):
         mlflow.MlflowClient().set_registered_model_alias(MODEL_NAME, CHAMPION_ALIAS, version)
@@ -174,7 +174,7 @@ def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:
 
 
 def _challenge(tracking: Tracking, trained: TrainedModel, dataset: Dataset) -> tuple[bool, str]:
-    """Whether a model takes the title, and why."""
+    """Return whether a model becomes champion, and why."""
     client = mlflow.MlflowClient()
     if CHAMPION_ALIAS not in client.get_registered_model(MODEL_NAME).aliases:
         return True, "promoted: the first model"
@@ -193,7 +193,7 @@ def _challenge(tracking: Tracking, trained: TrainedModel, dataset: Dataset) -> t
 
 
 def _pin(model_uri: str) -> tuple[str, str]:
-    """The URI with its alias resolved, and the version: an alias may move between two look-ups."""
+    """Return the URI with its alias resolved, and the version: an alias may move between two look-ups."""
     name, at, alias = model_uri.removeprefix("models:/").rpartition("@")
     if model_uri.startswith("models:/") and at:
         version = str(mlflow.MlflowClient().get_model_version_by_alias(name, alias).version)

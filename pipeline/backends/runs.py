@@ -102,7 +102,7 @@ def _database(uri: str) -> Path:
 def run(
     tracking: Tracking, name: str, params: Mapping[str, Any], tags: Mapping[str, str], parent_run_id: str | None = None
 ) -> Iterator[Run]:
-    """A run that ends FINISHED, FAILED (exception) or KILLED (interrupt), by how the block is left.
+    """Begin a run that ends FINISHED, FAILED (exception) or KILLED (interrupt), depending on how the block ends.
 
     ``params`` may be nested; they are logged as ``a.b``. With ``parent_run_id`` it is shown below that run.
     """
@@ -127,12 +127,12 @@ def run(
 
 
 def has_run(tracking: Tracking, run_id: str) -> bool:
-    """Whether the store holds the run; it does not where the run was recorded in another store."""
+    """Tell whether the tracking store holds the run; a run may be recorded in another one."""
     return _status(tracking, run_id) is not None
 
 
 def end_abandoned(tracking: Tracking, run_id: str) -> None:
-    """Mark a run KILLED whose driver is gone without having ended it; for whoever continues its work."""
+    """Mark a run as KILLED if its driver died without ending it; the run that continues its work calls this."""
     if _status(tracking, run_id) == "RUNNING":
         mlflow.MlflowClient(tracking.uri).set_terminated(run_id, "KILLED")
 

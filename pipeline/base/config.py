@@ -1,8 +1,7 @@
 """The configuration's schema: every key, what it may be, and errors that say so.
 
 Hydra composes ``conf/`` and the command line; `load` turns the result into frozen models or refuses it before any work
-starts. Defaults live in ``conf/`` alone. What the sections hold is in `pipeline.base.sections` and
-`pipeline.base.studies`.
+starts. Only ``conf/`` holds defaults. The sections are in `pipeline.base.sections` and `pipeline.base.studies`.
 """
 
 import difflib
@@ -52,7 +51,7 @@ UNIONS = {"homes": HOME_SOURCES, "model": get_args(ModelKind)}
 
 
 class Config(Section):
-    """All of it, resolved and checked."""
+    """The whole configuration, resolved and checked."""
 
     experiment: str = Field(min_length=1)
     seed: int = Field(ge=0)
@@ -98,7 +97,7 @@ class Config(Section):
 
 
 def load(composed: DictConfig) -> Config:
-    """The checked configuration; raises `UserError` with every mistake, what is allowed and what was given."""
+    """Return the checked configuration; raises `UserError` with every mistake, what is allowed and what was given."""
     try:
         missing = sorted(OmegaConf.missing_keys(composed))
         if missing:
@@ -114,21 +113,21 @@ def load(composed: DictConfig) -> Config:
     _check_planners(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
-            "belief.adapt=true: learns from what searches showed as from the truth, so it needs perception that does "
-            "not err; give belief.adapt=false or leave perception at its defaults"
+            "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
+            "give belief.adapt=false or leave perception at its defaults"
         )
     return config
 
 
 def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
-    """The configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
+    """Return the configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
     changed = OmegaConf.create(config.model_dump(mode="json"))
     changed.merge_with_dotlist(list(overrides))
     return load(changed)
 
 
 def _read_formula(plain: Any) -> None:
-    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    """Move the text of ``evaluation.formula_file`` to ``evaluation.formula``."""
     options = plain["evaluation"]
     if (path := options.get("formula_file")) is None:
         return
@@ -171,7 +170,7 @@ _BOUNDS = {
 
 
 def explain_error(item: Any) -> str:
-    """One pydantic error as ``key=value: what is allowed``."""
+    """Return a pydantic error as ``key=value: what is allowed``."""
     path = [str(part) for part in item["loc"]]
     if path[0] in UNIONS and len(path) > 1 and path[1] in UNIONS[path[0]]:
         del path[1]
@@ -207,17 +206,17 @@ def _suggest_keys(path: list[str]) -> str:
 
 
 def explain_unknown_key(key: str) -> str:
-    """What to say about a key that is nowhere in the configuration."""
+    """Return what to say about a key that the configuration does not have."""
     return f"{key}: no such key; {_suggest_keys(key.split('.'))}"
 
 
 def suggest(word: str, allowed: list[str]) -> str:
-    """A hint: the nearest allowed word, if one is near, and all of them."""
+    """Return a hint: the nearest allowed word, if one is near, and all allowed words."""
     near = difflib.get_close_matches(word, allowed, n=1)
     return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(allowed)}"
 
 
 def content_hash(content: object) -> str:
-    """16 hex digits of anything made of plain data."""
+    """Return 16 hex digits of anything made of plain data."""
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
