@@ -4,9 +4,9 @@
     python -m pipeline.scenario map=lab.yaml containers=containers.yaml task="pillow and remote" robots=2
 
 Every planner runs with several seeds; metres are means over them. The files in output_dir (default
-outputs/scenario/<name>) show the first seed: replay.html has all planners side by side, to watch; plans.png has the first
-search planner beside the first baseline; traces/<planner>.json. conf/scenario.yaml lists every key with its default;
-planners' options are planner.pouct.samples=1000 and the like.
+outputs/scenario/<name>) show the first seed: replay.html has all planners side by side, to watch; plans.png has the
+first search planner beside the first baseline; traces/<planner>.json. conf/scenario.yaml lists every key with its
+default; planners' options are planner.pouct.samples=1000 and the like.
 """
 
 import json

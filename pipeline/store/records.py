@@ -169,8 +169,8 @@ class Asked(_Part):
 class RunIdentity(Record):
     """Everything that decides the rows' content; rows of different identities are never mixed in one folder.
 
-    A run grows when it is asked for more. That changes no existing row: a trial depends on its cell and number alone, and
-    a planner's episode on the trial and the planner's own options.
+    A run grows when it is asked for more. That changes no existing row: a trial depends only on its cell and number, a
+    planner's episode on the trial and the planner's own options.
     """
 
     ADVICE = "give another output_dir, or overwrite=true to start anew there"
