@@ -161,7 +161,7 @@ def _unseen_homes(
         say_faults(read_from)
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
-        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model was trained on them")
+        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
     return unseen, EvaluatedHomes(
         source="procthor" if options.files else set_source,
         files=read_from.paths,
