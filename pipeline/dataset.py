@@ -15,13 +15,13 @@ from pipeline.inputs import homes, rows
 
 def run(config: Config, session: Session) -> Path:
     """Return the folder of the dataset of the configured homes."""
-    home_set = homes.make(config.homes, config.datasets_dir, session.pool, config.contents)
+    home_set = homes.make(config.homes, config.contents, config.datasets_dir, session.pool)
     return rows.build(home_set, config.datasets_dir, session.pool)
 
 
 def outline(config: Config, session: Session) -> Iterator[str]:
     """Say of which homes the rows would be."""
-    yield homes.outline(config.homes, config.datasets_dir, config.contents)
+    yield homes.outline(config.homes, config.contents, config.datasets_dir)
     yield "would label which of their containers hold which objects"
 
 

@@ -21,7 +21,7 @@ from pipeline.store.maps import MapOptions
 
 def run(config: Config, session: Session) -> HomeSet:
     """Return the homes; with ``draw=true`` also draw floor plans of some in ``<output_dir>/homes``."""
-    home_set = homes.make(config.homes, config.datasets_dir, session.pool, config.contents)
+    home_set = homes.make(config.homes, config.contents, config.datasets_dir, session.pool)
     if config.draw:
         maps = MapOptions.of(config.map, config.cache_dir)
         draw(home_set.evaluated, config.homes.source, maps, Folder(config.output_dir) / HOMES)
@@ -30,7 +30,7 @@ def run(config: Config, session: Session) -> HomeSet:
 
 def outline(config: Config, session: Session) -> Iterator[str]:
     """Say which homes would be made or read."""
-    yield homes.outline(config.homes, config.datasets_dir, config.contents)
+    yield homes.outline(config.homes, config.contents, config.datasets_dir)
 
 
 STAGE = Stage(run, outline, locks="to draw")

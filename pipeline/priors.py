@@ -99,7 +99,7 @@ def _trainings(config: Config) -> list[tuple[str, Config]]:
 
 
 def _trained_version(config: Config) -> str:
-    home_set = homes.find(config.homes, config.datasets_dir, config.contents)
+    home_set = homes.make(config.homes, config.contents, config.datasets_dir, None)
     return training.find(rows.find(home_set, config.datasets_dir), training.training(config)).model_version
 
 

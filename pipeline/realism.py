@@ -39,7 +39,7 @@ def run(config: Config, session: Session) -> None:
     """Compare the homes, and with ``realism.models`` the models trained on either."""
     target, maps = Folder(config.output_dir) / REALISM, MapOptions.of(config.map, config.cache_dir)
     theirs, ours = (
-        homes.make(each, config.datasets_dir, session.pool, config.contents)
+        homes.make(each, config.contents, config.datasets_dir, session.pool)
         for each in _real_and_generated(config.homes, config.realism.generated_test)
     )
     compare(ours.houses, theirs.houses, maps, config.seed, target, session.pool)
@@ -55,7 +55,7 @@ def run(config: Config, session: Session) -> None:
 def outline(config: Config, session: Session) -> Iterator[str]:
     """Say which homes would be compared, and which models trained."""
     for each in _real_and_generated(config.homes, config.realism.generated_test):
-        yield f"{each.source} homes: {homes.outline(each, config.datasets_dir, config.contents)}"
+        yield f"{each.source} homes: {homes.outline(each, config.contents, config.datasets_dir)}"
     yield f"would compare them, and train on either: {', '.join(config.realism.models) or 'nothing'}"
 
 

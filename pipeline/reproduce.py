@@ -38,7 +38,7 @@ def run(config: Config, session: Session) -> None:
     wanted = training.training(config)
     wanted.check()
     with compiled_meanwhile(config.compared):
-        home_set = timed("homes", lambda: homes.make(config.homes, config.datasets_dir, session.pool, config.contents))
+        home_set = timed("homes", lambda: homes.make(config.homes, config.contents, config.datasets_dir, session.pool))
         labelled = timed("dataset", lambda: rows.build(home_set, config.datasets_dir, session.pool))
         timed("train", lambda: training.train(labelled, wanted))
     plan = plan_evaluation(config, home_set, load_model(config))

@@ -21,9 +21,8 @@ def prepare(config: Config, pool: Pool) -> EvaluationPlan:
     """
     check(config.evaluation)
     model = load_model(config)
-    if config.dry_run:
-        return plan_evaluation(config, homes.find(config.homes, config.datasets_dir, config.contents), model)
-    home_set = homes.make(config.homes, config.datasets_dir, pool, config.contents)
+    maker = None if config.dry_run else pool
+    home_set = homes.make(config.homes, config.contents, config.datasets_dir, maker)
     return plan_evaluation(config, home_set, model)
 
 

@@ -47,27 +47,29 @@ PROCTHOR_10K_ASSETS = "asset-database.json"
 _NOT_MADE = "the homes are not made yet; python -m pipeline.homes makes them"
 
 
-def make(options: Homes, datasets_dir: Path, pool: Pool, contents: Contents) -> HomeSet:
+def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | None) -> HomeSet:
     """Return the homes, generated or read and then split, unless that was done before.
 
+    Args:
+        pool: generates the homes; with None nothing is made or downloaded.
+
     Raises:
+        NotMade: there is no pool, and the homes are not there yet.
         UserError: a file is missing or a home in it faulty, or there are fewer homes than are asked for.
         MapError: a map cannot be read.
         VotesError: the files of the contents cannot be read.
     """
     began_s = time.monotonic()
-    votes = _voted(options, contents, datasets_dir)
-    maps = _maps(options, votes)
-    learned_from = _learned_from(options)
-    if isinstance(learned_from, GeneratedHomes):
-        houses = _generated(learned_from, datasets_dir, pool)
-    else:
-        houses = _in_files(learned_from, datasets_dir)
-    houses = houses.model_copy(update={"contents": votes})
-    folder = _folder(learned_from, houses, datasets_dir)
+    may_make = pool is not None
+    votes = _voted(contents, datasets_dir, may_make) if options.contents == "housekeep" else None
+    maps = _read_maps(options).model_copy(update={"contents": votes}) if isinstance(options, RosMapHomes) else None
+    learned_from = options.to_learn_from() if isinstance(options, RosMapHomes) else options
+    houses = _houses(learned_from, datasets_dir, pool).model_copy(update={"contents": votes})
+    folder = datasets_dir / "homes" / f"{learned_from.source}-{_set_key(learned_from, houses)}"
     if (manifest := artifacts.find_manifest(folder, HomesManifest)) is not None:
         console.skipped(console.shown(folder))
     else:
+        _check(may_make)
         manifest = artifacts.make(folder, lambda _: _manifest(learned_from, houses))
         say_faults(houses)
         console.line(describe(manifest))
@@ -77,39 +79,10 @@ def make(options: Homes, datasets_dir: Path, pool: Pool, contents: Contents) -> 
     return HomeSet(folder, manifest, houses, maps)
 
 
-def find(options: Homes, datasets_dir: Path, contents: Contents) -> HomeSet:
-    """Return the homes without making or downloading anything.
-
-    Raises:
-        NotMade: they are not there yet.
-        UserError: as `make` does.
-    """
-    learned_from = _learned_from(options)
-    if options.contents == "housekeep" and needs_download(contents, datasets_dir):
-        raise NotMade(_NOT_MADE)
-    if isinstance(learned_from, GeneratedHomes):
-        generated = _generated_folder(learned_from, datasets_dir)
-        if artifacts.find_manifest(generated, GeneratedHousesManifest) is None:
-            raise NotMade(_NOT_MADE)
-        houses = HouseFiles(files=(generated / GENERATED_FILE,))
-    else:
-        if not isinstance(learned_from, ProcthorHomes) and not all(
-            (datasets_dir / "procthor10k" / name).is_file() for name in PROCTHOR_10K
-        ):
-            raise NotMade(_NOT_MADE)
-        houses = _in_files(learned_from, datasets_dir)
-    votes = _voted(options, contents, datasets_dir)
-    houses = houses.model_copy(update={"contents": votes})
-    folder = _folder(learned_from, houses, datasets_dir)
-    if (manifest := artifacts.find_manifest(folder, HomesManifest)) is None:
-        raise NotMade(_NOT_MADE)
-    return HomeSet(folder, manifest, houses, _maps(options, votes))
-
-
-def outline(options: Homes, datasets_dir: Path, contents: Contents) -> str:
+def outline(options: Homes, contents: Contents, datasets_dir: Path) -> str:
     """Return in a line which homes there are, or would be made."""
     try:
-        return f"there already: {describe(find(options, datasets_dir, contents).manifest)}"
+        return f"there already: {describe(make(options, contents, datasets_dir, None).manifest)}"
     except NotMade:
         test = "the rest" if options.test is None else options.test
         return (
@@ -118,51 +91,52 @@ def outline(options: Homes, datasets_dir: Path, contents: Contents) -> str:
         )
 
 
-def _learned_from(options: Homes) -> GeneratedHomes | HousesInFiles:
-    return options.to_learn_from() if isinstance(options, RosMapHomes) else options
+def _check(may_make: bool) -> None:
+    if not may_make:
+        raise NotMade(_NOT_MADE)
 
 
-def _voted(options: Homes, contents: Contents, datasets_dir: Path) -> VotedContents | None:
-    return voted_contents(contents, datasets_dir) if options.contents == "housekeep" else None
+def _voted(contents: Contents, datasets_dir: Path, may_make: bool) -> VotedContents:
+    _check(may_make or not needs_download(contents, datasets_dir))
+    return voted_contents(contents, datasets_dir)
 
 
-def _maps(options: Homes, votes: VotedContents | None) -> MapFiles | None:
-    return _read_maps(options).model_copy(update={"contents": votes}) if isinstance(options, RosMapHomes) else None
+def _set_key(options: GeneratedHomes | HousesInFiles, houses: HouseFiles) -> str:
+    """Return a hash of what decides the set: the content of files and homes, the options, the code."""
+    return content_hash(
+        [
+            options.model_dump(mode="json", exclude={"files", "assets"}),
+            sorted(sha256_of(path) for path in houses.paths),
+            houses.contents.key() if houses.contents else None,
+            hash_module(procthor.__name__),
+            hash_module(split.__name__),
+        ]
+    )
 
 
-def _folder(options: GeneratedHomes | HousesInFiles, houses: HouseFiles, datasets_dir: Path) -> Path:
-    """Return the folder named by what decides the set: the content of files and homes, the options, the code."""
-    key = [
-        options.model_dump(mode="json", exclude={"files", "assets"}),
-        sorted(sha256_of(path) for path in houses.paths),
-        houses.contents.key() if houses.contents else None,
-        hash_module(procthor.__name__),
-        hash_module(split.__name__),
-    ]
-    return datasets_dir / "homes" / f"{options.source}-{content_hash(key)}"
-
-
-def _in_files(options: HousesInFiles, datasets_dir: Path) -> HouseFiles:
+def _houses(options: GeneratedHomes | HousesInFiles, datasets_dir: Path, pool: Pool | None) -> HouseFiles:
+    if isinstance(options, GeneratedHomes):
+        return _generated(options, datasets_dir, pool)
     if isinstance(options, ProcthorHomes):
         check_files("homes.files", options.files)
         check_files("homes.assets", [options.assets])
         houses = HouseFiles(files=options.files, assets=options.assets, skip_faulty=options.skip_faulty)
     else:
-        houses = _downloaded(options, datasets_dir)
+        folder = datasets_dir / "procthor10k"
+        _check(pool is not None or all((folder / name).is_file() for name in PROCTHOR_10K))
+        houses = _downloaded(options, folder)
     console.headline("homes", ", ".join(path.name for path in houses.files))
     return houses
 
 
-def _generated_folder(options: GeneratedHomes, datasets_dir: Path) -> Path:
-    """Return the folder named by all that generated houses depend on: the seed, their number and the code."""
-    key = content_hash([options.seed, options.total, hash_module(house.__name__)])
-    return datasets_dir / "generated" / key
-
-
-def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool) -> HouseFiles:
+def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool | None) -> HouseFiles:
+    """Return the generator's houses, made unless they are there: they depend only on seed, number and code."""
     console.headline("homes", f"{options.total} generated homes, seed {options.seed}")
-    folder = _generated_folder(options, datasets_dir)
+    key = content_hash([options.seed, options.total, hash_module(house.__name__)])
+    folder = datasets_dir / "generated" / key
     if artifacts.find_manifest(folder, GeneratedHousesManifest) is None:
+        if pool is None:
+            raise NotMade(_NOT_MADE)
 
         def fill(temporary: Path) -> GeneratedHousesManifest:
             houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, pool))
@@ -183,9 +157,9 @@ def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
             following += 1
 
 
-def _downloaded(options: Procthor10kHomes, datasets_dir: Path) -> HouseFiles:
+def _downloaded(options: Procthor10kHomes, folder: Path) -> HouseFiles:
     try:
-        fetched = fetch_procthor10k(datasets_dir / "procthor10k", progress=True)
+        fetched = fetch_procthor10k(folder, progress=True)
     except DownloadError as error:
         raise UserError(f"homes=procthor10k: {error}") from error
     assets = fetched.pop(PROCTHOR_10K_ASSETS)
