@@ -57,7 +57,7 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
 def _no_pictures() -> Iterator[None]:
     """Reports have all their figures, but these are not drawn, which takes most of a report's time.
 
-    Which figures there are and how they look, tests of the library know; tests of the wheel have them drawn.
+    The library's tests check which figures exist and how they look; the wheel's tests draw them.
     """
     with pytest.MonkeyPatch.context() as patch:
         for module in (exhibits, sensitivity):

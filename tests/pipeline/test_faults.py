@@ -141,7 +141,7 @@ def test_a_driver_stopped_again_and_again_goes_on(workspace: Workspace, cli: Cli
 def rows_until_stopped(
     how: signal.Signals, overrides: Sequence[str], folder: Path, target: Path, rows: int
 ) -> pd.DataFrame:
-    """Stops a driver when it has written so many rows or more, and nothing of it is running then; what is there."""
+    """Stop a driver once it has written this many rows, when no process of it runs, and return its rows."""
     command = [sys.executable, "-m", "pipeline.evaluate", *overrides, "cluster.address=local"]
     said = target.with_suffix(".err")
     with said.open("w") as said_to:
@@ -165,7 +165,7 @@ def is_worker(process: psutil.Process) -> bool:
 
 
 def wait_for_rows(driver: subprocess.Popen[bytes], target: Path, count: int) -> None:
-    """Until the driver has written so many rows."""
+    """Wait until the driver has written this many rows."""
     end_s = time.monotonic() + 300
     while time.monotonic() < end_s and driver.poll() is None:
         parts = list((target / "episodes").glob("part-*.parquet"))
