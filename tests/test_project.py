@@ -87,6 +87,7 @@ def test_forbidden_imports_are_noticed(tmp_path: Path) -> None:
         ("mrtask/maps/smuggler.py", "import mlflow", "the library knows nothing"),
         ("pipeline/backends/smuggler.py", "import ray", "only pipeline.backends.pool knows ray"),
         ("pipeline/backends/smuggler.py", "import mlflow", "only pipeline.backends' runs, registry"),
+        ("pipeline/store/layout.py", "import mrtask.analysis.report.report_page", "what is configured and kept"),
         ("mrtask/maps/cache.py", "import matplotlib", "workers start soon"),
         ("pipeline/app/smuggler.py", "import pipeline.report", "the pipeline's stages"),
         ("pipeline/episodes/smuggler.py", "import pipeline.app.stage", "the pipeline's stages"),
