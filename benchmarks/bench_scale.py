@@ -32,8 +32,10 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import Cluster
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_one, warm
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_one, warm
+from pipeline.store.maps import MapOptions
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12
@@ -95,7 +97,7 @@ def make_context(samples: int) -> Context:
         maps=MapOptions(resolution_m=0.05, robot_radius_m=0.2, cache_dir=default_cache_dir()),
         seed=0,
         trials=TrialOptions(),
-        planner_options={PLANNER: {"samples": samples}},
+        planners={PLANNER: PlannerSpec(PLANNER, PLANNER, {"samples": samples})},
         provenance=Provenance(model_version="0", config_hashes={PLANNER: ""}, code_version=""),
     )
 

@@ -1,8 +1,8 @@
-"""Checks that this machine has what mrtask needs, and says what to do where it has not.
+"""Checks that this machine has what mrtask needs, and says what to do where it does not.
 
     make doctor, or mrtask doctor
 
-Needs nothing but Python itself, so that it also runs before anything is installed.
+It needs only Python itself, so that it also runs before anything is installed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ GIB = 2.0**30
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was checked; ``advice`` says what to do where it is not ``good``."""
+    """The result of one check; ``advice`` says what to do where it is not ``good``."""
 
     good: bool
     what: str
@@ -43,12 +43,12 @@ class Finding:
 
 
 def findings(folder: Path, cache_dir: Path) -> Iterator[Finding]:
-    """All checks, for runs in ``folder``."""
+    """Yield the results of all checks, for runs in ``folder``."""
     yield python_version(sys.version_info[:2])
     yield disk(folder, shutil.disk_usage(folder).free / GIB)
     yield memory(available_memory_gb())
     yield cores(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    yield writable("the cache of maps and compiled kernels", cache_dir, "set MRTASK_CACHE_DIR to a folder that can be")
+    yield writable("the cache of maps and compiled kernels", cache_dir, "set MRTASK_CACHE_DIR to another folder")
     yield writable("the folder of runs", folder, "give output_dir=... and datasets_dir=... elsewhere")
     yield writable("shared memory", Path("/dev/shm"), "in a container, start it with --shm-size=2g; Ray needs it")
     yield port(DASHBOARD_PORT)
@@ -59,14 +59,14 @@ def findings(folder: Path, cache_dir: Path) -> Iterator[Finding]:
 
 
 def python_version(found: tuple[int, ...]) -> Finding:
-    """Python is new enough."""
+    """Check that Python is new enough."""
     text, least = ".".join(map(str, found)), ".".join(map(str, MIN_PYTHON))
     advice = f"Python {least} or newer is needed: make install PYTHON=/path/to/python{least}"
     return Finding(found >= MIN_PYTHON, f"Python {text}", advice)
 
 
 def disk(folder: Path, free_gb: float) -> Finding:
-    """There is room on the disk."""
+    """Check that the disk has room."""
     return Finding(
         free_gb >= DISK_GB,
         f"{free_gb:.1f} GB free on the disk of {folder}",
@@ -75,23 +75,23 @@ def disk(folder: Path, free_gb: float) -> Finding:
 
 
 def memory(available_gb: float | None) -> Finding:
-    """There is memory for a few workers."""
+    """Check that there is memory for a few workers."""
     if available_gb is None:
         return Finding(True, "memory unknown on this system")
     return Finding(
         available_gb >= MEMORY_GB,
         f"{available_gb:.1f} GB of memory available",
-        f"{MEMORY_GB:g} GB are wanted: close programs, or take fewer workers (cluster.cpus=1)",
+        f"{MEMORY_GB:g} GB are recommended: close programs, or use fewer workers (cluster.cpus=1)",
     )
 
 
 def cores(count: int) -> Finding:
-    """How many cores may be used."""
+    """Say how many cores may be used."""
     return Finding(True, f"{count} core{'s' if count > 1 else ''}")
 
 
 def writable(what: str, folder: Path, advice: str) -> Finding:
-    """A folder, or the first of its parents that exists, can be written."""
+    """Check that a folder, or the first of its parents that exists, can be written."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     try:
         with tempfile.TemporaryFile(dir=existing):
@@ -102,7 +102,7 @@ def writable(what: str, folder: Path, advice: str) -> Finding:
 
 
 def port(number: int) -> Finding:
-    """Nothing else listens where the dashboard would."""
+    """Check that nothing else listens on the dashboard's port."""
     with socket.socket() as probe:
         taken = probe.connect_ex(("127.0.0.1", number)) == 0
     advice = f'something listens there (an open dashboard?); choose another: make dashboard ARGS="--port {number + 1}"'
@@ -110,13 +110,13 @@ def port(number: int) -> Finding:
 
 
 def installed(what: str, modules: tuple[str, ...], advice: str) -> Finding:
-    """Packages can be found."""
+    """Check that packages can be found."""
     missing = [name for name in modules if find_spec(name) is None]
     return Finding(not missing, f"{what}: {', '.join(missing) + ' missing' if missing else 'installed'}", advice)
 
 
 def available_memory_gb() -> float | None:
-    """Memory that can be taken, also where a container has less than the machine; None where it cannot be known."""
+    """Return the free memory, in a container within its limit; None where it cannot be known."""
     bytes_known = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         bytes_known.append(1024 * int(Path("/proc/meminfo").read_text().split("MemAvailable:")[1].split()[0]))
@@ -126,7 +126,7 @@ def available_memory_gb() -> float | None:
 
 
 def main() -> int:
-    """Prints all findings; exit code 1 where there is a problem."""
+    """Print all findings; return exit code 1 where there is a problem."""
     checked = list(findings(Path.cwd(), default_cache_dir()))
     for finding in checked:
         print(finding)

@@ -1,26 +1,25 @@
-"""Goes from the configured protocol to the authors' one switch at a time, and says which moves the improvements.
+"""Goes from the configured protocol to the authors' one switch at a time, and shows which switch moves the results.
 
 Arms (conf/ablation): "paper", the experiment as configured; "paper + x" with one switch added; "authors" with all of
 them; "authors - x" without one; and the steps from the paper's text to our planner. One page in <output_dir>/report.
 
-How arms share evaluations stands in `pipeline.arms`.
+`pipeline.arms` says how arms share evaluations.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
 from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.arms import SharedRun, run_arms
-from pipeline.base import console
+from pipeline.arms import Arm, SharedRun, lay_out, write_page
 from pipeline.base.config import Config
 from pipeline.base.studies import Ablation
 from pipeline.store.episode_row import TRACE
-from pipeline.store.folder import Folder, locked
-from pipeline.store.layout import REPORT, REPORT_INDEX
+from pipeline.store.folder import Folder
+from pipeline.store.layout import REPORT
 from pipeline.store.rows import read_episodes, read_traces
 
 PAPER, AUTHORS = "paper", "authors"
@@ -40,22 +39,27 @@ class Protocol:
 
 
 def run(config: Config, session: Session) -> None:
-    """The stage."""
+    """Run every arm and write the page."""
     began_s = time.monotonic()
     arms = protocols(config.ablation)
-    shared = run_arms(config, [(arm.name, arm.overrides) for arm in arms], COMPARED, session, WHAT)
-    if config.dry_run:
-        return
-    folder = Folder(config.output_dir)
-    with locked(folder, config.cache_dir):
-        found = {arm.name: arm for one in shared for arm in _arm_rows(one, arms)}
-        rows = [found[arm.name] for arm in arms]
-        (folder / REPORT).write(REPORT_INDEX, render_ablation(rows, config.experiment).encode())
-    console.result(folder / REPORT / REPORT_INDEX, time.monotonic() - began_s)
+    comparison = lay_out(config, _overrides(arms), COMPARED, WHAT)
+    comparison.run(session)
+    found = {arm.name: arm for one in comparison.shared for arm in _arm_rows(one, arms)}
+    page = render_ablation([found[arm.name] for arm in arms], config.experiment)
+    write_page(Folder(config.output_dir) / REPORT, page, began_s)
+
+
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say which evaluations the arms would need."""
+    yield from lay_out(config, _overrides(protocols(config.ablation)), COMPARED, WHAT).outline(session)
+
+
+def _overrides(arms: Sequence[Protocol]) -> list[Arm]:
+    return [(arm.name, arm.overrides) for arm in arms]
 
 
 def protocols(ablation: Ablation) -> list[Protocol]:
-    """All arms, in the order of the page."""
+    """Return all arms, in the order of the page."""
     switches = ablation.switches
     every = tuple(override for switch in switches for override in switch.overrides)
     found = [Protocol(PAPER, (), in_detail=True)]
@@ -82,7 +86,7 @@ def _arm_rows(shared: SharedRun, arms: list[Protocol]) -> Iterator[ArmRows]:
         yield ArmRows(name, of_arm, arm.overrides, arm.in_detail, arm.is_step, arm.against)
 
 
-STAGE = Stage(run)
+STAGE = Stage(run, outline)
 
 if __name__ == "__main__":
     main("pipeline.ablation")

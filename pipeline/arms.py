@@ -1,12 +1,13 @@
 """Arms: evaluations that differ in some overrides of one configuration, to be compared on one page.
 
-Arms that differ in planners' options or likelihoods alone run on the same trials, as variants in one evaluation
-(<output_dir>/runs/...): their rows are paired, planners that do not differ run once, and a run that is interrupted goes
-on where it stopped. Arms with other trials are evaluations of their own. A later command with more arms or trials adds
-what is missing.
+Arms that differ only in planners' options or likelihoods run on the same trials, as variants in one evaluation
+(<output_dir>/runs/...): their rows are paired, equal planners run once, and an interrupted run continues where it
+stopped. Arms with other trials are evaluations of their own. A later command with more arms or trials adds what is
+missing.
 """
 
 import re
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -16,16 +17,16 @@ from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash, with_overrides
-from pipeline.base.sections import OtherLikelihood, PlannerVariant
+from pipeline.base.sections import PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
 from pipeline.store import layout
 from pipeline.store.folder import Folder
-from pipeline.store.layout import EPISODES
+from pipeline.store.layout import EPISODES, REPORT_INDEX
 
 Arm = tuple[str, Sequence[str]]
 """A name and the overrides, ``key=value``."""
 OF_TRIALS = {"seed", "map", "homes", "contents", "perception", "evaluation", "belief"}
-"""The parts of the configuration that decide which trials there are, and what is learned from one to the next; the
+"""The parts of the configuration that decide which trials exist, and what is learned from one to the next; the
 planners' options and likelihoods are the rest of an arm."""
 
 
@@ -47,11 +48,10 @@ class SharedRun:
         return content_hash(self.config.model_dump(mode="json", include=OF_TRIALS))
 
     def add(self, arm: str, config: Config, planners: Sequence[str]) -> None:
-        """Takes in an arm; a planner whose options an earlier arm has shares that one's rows."""
+        """Add an arm; a planner that equals one of an earlier arm shares its rows."""
         names = {}
         for planner in planners:
-            likelihood = OtherLikelihood.model_validate(config.likelihood_of(planner).model_dump())
-            variant = PlannerVariant(planner=planner, options=config.planner_options(planner), likelihood=likelihood)
+            variant = PlannerVariant.of(config.spec(planner))
             known = next((name for name, other in self.variants.items() if other == variant), None)
             names[planner] = known or f"{planner}:{slug(arm)}"
             self.variants[names[planner]] = variant
@@ -81,26 +81,41 @@ class SharedRun:
             yield arm, of_arm.assign(planner=of_arm["planner"].map(own))
 
 
-def run_arms(
-    config: Config, arms: Sequence[Arm], planners: Sequence[str], session: Session, what: str
-) -> list[SharedRun]:
-    """Runs all evaluations that the arms need; with dry_run a pilot of each.
+@dataclass(frozen=True)
+class Comparison:
+    """All arms of a stage, laid out on the evaluations that they need."""
 
-    Args:
-        what: what the arms are part of, for messages.
+    what: str
+    """What the arms are part of, for messages."""
+    arms: int
+    shared: Sequence[SharedRun]
+
+    def run(self, session: Session) -> None:
+        """Run the evaluations."""
+        console.headline(self.what, f"{self.arms} arms in {len(self.shared)} evaluations")
+        for one in self.shared:
+            evaluate.STAGE.start(one.configured(), session)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say what would run, with a pilot of each evaluation."""
+        yield f"would compare {self.arms} arms in {len(self.shared)} evaluations on one page"
+        for one in self.shared:
+            yield f"{', '.join(arm for arm, _ in one.arms)}:"
+            yield from evaluate.outline(one.configured(), session)
+
+
+def write_page(folder: Folder, page: str, began_s: float) -> None:
+    """Write the page that compares the arms, and say where it is and how long the stage took."""
+    folder.write(REPORT_INDEX, page.encode())
+    console.result(folder / REPORT_INDEX, time.monotonic() - began_s)
+
+
+def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> Comparison:
+    """Lay out the arms of ``what`` on as few evaluations as possible.
 
     Raises:
         UserError: an arm's overrides are a mistake, or two arms have one name.
     """
-    shared = lay_out(config, arms, planners, what)
-    console.headline(what, f"{len(arms)} arms in {len(shared)} evaluations")
-    for one in shared:
-        evaluate.run(one.configured(), session)
-    return shared
-
-
-def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> list[SharedRun]:
-    """The evaluations that all arms need; arguments and errors as of `run_arms`."""
     runs: dict[str, SharedRun] = {}
     names = [slug(arm) for arm, _ in arms]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -113,9 +128,9 @@ def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: 
         common = armed.model_copy(update={"planner": config.planner, "likelihood": config.likelihood})
         shared = SharedRun(common, arm)
         runs.setdefault(shared.trials_key, shared).add(arm, armed, planners)
-    return list(runs.values())
+    return Comparison(what, len(arms), list(runs.values()))
 
 
 def slug(name: str) -> str:
-    """An arm's name as part of a folder's and of a planner variant's, which is also a metric's."""
+    """Return an arm's name as it can stand in the name of a folder, a planner variant and a metric."""
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")

@@ -1,9 +1,9 @@
 """Runs every planner on every trial and writes one row per episode to ``<output_dir>/episodes`` (Parquet).
 
-Interrupted or run again with the same output_dir, it goes on where it stopped: finished rows are kept. Asked there for
-more planners, team sizes, size classes or trials per cell, it adds their rows; asked for fewer, it takes none away. A
-configuration under which rows that are there would be others is refused (overwrite=true starts anew). dry_run=true says
-how long it would take.
+Interrupted or run again with the same output_dir, it continues where it stopped: finished rows are kept. Asked there
+for more planners, team sizes, size classes or trials per cell, it adds their rows; asked for fewer, it removes none. A
+configuration that would change existing rows is refused (overwrite=true starts anew). dry_run=true says how long it
+would take.
 """
 
 import contextlib
@@ -15,64 +15,61 @@ from datetime import UTC, datetime
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.statistics import BASELINES, summarise
-from pipeline import homes, report
+from pipeline import report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
-from pipeline.backends import tracking
-from pipeline.backends.tracking import RegisteredModel
+from pipeline.backends import registry, runs
 from pipeline.base import console
 from pipeline.base.config import Config, UserError
 from pipeline.base.sections import Evaluation
 from pipeline.episodes.pilot import pilot
-from pipeline.episodes.plan import EvaluationPlan, check, plan_evaluation
+from pipeline.episodes.plan import EvaluationPlan, check
+from pipeline.episodes.prepare import prepare
 from pipeline.episodes.runner import map_homes, run_episodes
+from pipeline.inputs.training import find_record
 from pipeline.store import cache, layout
-from pipeline.store.folder import Folder, locked
-from pipeline.store.home_set import HomeSet
+from pipeline.store.artifacts import NotMade
+from pipeline.store.folder import Folder
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
 from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
 from pipeline.store.version import package_versions
-from pipeline.train import find_record
 
 
 def run(config: Config, session: Session) -> None:
-    """The stage."""
-    check(config.evaluation)
-    store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-    with locked(Folder(config.output_dir), config.cache_dir):
-        model = load_model(config, store)
-        evaluate(config, session, homes.run(config, session), store, model)
+    """Run the configured evaluation."""
+    evaluate(prepare(config, session.pool), config, session)
 
 
-def load_model(config: Config, store: tracking.Tracking) -> RegisteredModel:
-    """The configured model; for a run that is continued, the version it began with."""
-    begun = None if config.overwrite else RunIdentity.read(Folder(config.output_dir), IDENTITY)
-    uri = config.evaluation.model_uri
-    if begun is not None and uri == tracking.CHAMPION_URI:
-        uri = f"models:/{tracking.MODEL_NAME}/{begun.model_version}"
-    return tracking.load_registered(store, uri, config.cache_dir)
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say how many episodes would run, and for how long, from a short pilot."""
+    options = config.evaluation
+    check(options)
+    trials, planners = options.trials_per_cell * len(options.size_classes) * len(options.robots), len(options.planners)
+    yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
+    try:
+        plan = prepare(config, session.pool)
+    except NotMade as missing:
+        yield f"{missing}; then a dry run can say how long they take"
+    else:
+        yield from pilot(plan, session.pool, options.episode_timeout_s)
 
 
-def evaluate(
-    config: Config, session: Session, home_set: HomeSet, store: tracking.Tracking, model: RegisteredModel
-) -> None:
-    """Plans the evaluation and runs it in the output folder, which the caller has locked; with dry_run, a pilot."""
-    plan = plan_evaluation(config, home_set, model)
+def evaluate(plan: EvaluationPlan, config: Config, session: Session) -> None:
+    """Run a plan in the output folder."""
     total, planners = len(plan.keys), len(plan.planners)
     console.headline(
         "evaluate",
-        f"{total // planners} trials x {planners} planners = {total} episodes, model version {model.version}",
+        f"{total // planners} trials x {planners} planners = {total} episodes, "
+        f"model version {plan.identity.model_version}",
     )
-    if config.dry_run:
-        pilot(plan, session.pool, config.evaluation.episode_timeout_s)
-        return
     folder = Folder(config.output_dir)
     if config.overwrite:
         layout.forget_episodes(folder)
-    trained = find_record(config.datasets_dir, config.tracking.uri, model.version)
+    trained = find_record(config.datasets_dir, config.tracking.uri, plan.identity.model_version)
     cache.trim(config.cache_dir, config.cache_limit_gb * 2**30)
-    finish(plan, folder, config.evaluation, session, store, trained)
+    tracking = runs.open_tracking(config.tracking.uri, config.tracking.experiment_name)
+    finish(plan, folder, config.evaluation, session, tracking, trained)
 
 
 def finish(
@@ -80,16 +77,16 @@ def finish(
     folder: Folder,
     options: Evaluation,
     session: Session,
-    store: tracking.Tracking,
+    tracking: runs.Tracking,
     trained: TrainedModelRecord | None,
 ) -> None:
-    """Runs the episodes that are missing in the folder as one MLflow run and leaves the evaluation's manifest.
+    """Run the episodes that the folder lacks as one MLflow run, and leave the evaluation's manifest.
 
     Args:
         trained: the record of the model's training, where it was trained here.
 
     Raises:
-        UserError: the folder holds episodes that would be others now, or too many episodes fail.
+        UserError: the run would change rows that the folder holds, or too many episodes fail.
     """
     began_s, started = time.monotonic(), datetime.now(UTC)
     identity = _join(folder, plan.identity)
@@ -103,23 +100,23 @@ def finish(
     if len(missing) < len(plan.keys):
         console.line(f"{len(plan.keys) - len(missing)} episodes are there already")
     session.pool.start()
-    with _tracked(plan, folder, session.cell, store) as run:
+    with _tracked(plan, folder, session.cell, tracking) as run:
         reach = map_homes(plan.context, session.pool)
         run_episodes(plan, missing, options, session.pool, writer)
         manifest = _manifest(
             plan, identity, folder, trained, reach, Machine.here(session.pool.slots),
             started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id, sweep=session.cell.text,
         )  # fmt: skip
-        tracking.log_metrics(run, _metrics(folder / EPISODES))
+        runs.log_metrics(run, _metrics(folder / EPISODES))
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
 
 
 def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
-    """The identity of a run that begins, or of the one in the folder with what is asked for now; it is written there.
+    """Write and return the identity of a new run, or of the run in the folder grown by what is asked for now.
 
     Raises:
-        UserError: rows that are there would come out otherwise now, with all that is different.
+        UserError: the run would change existing rows; the message lists every difference.
     """
     recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
@@ -142,8 +139,8 @@ def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
 
 
 @contextlib.contextmanager
-def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, store: tracking.Tracking) -> Iterator[tracking.Run]:
-    """The MLflow run, in place of one that a driver which is gone has left open."""
+def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, tracking: runs.Tracking) -> Iterator[runs.Run]:
+    """Begin the MLflow run, and end one that a killed driver has left open."""
     params = {key: value for key, value in plan.config.items() if key not in ("cluster", "tracking")}
     tags = {
         "stage": "evaluate",
@@ -153,15 +150,15 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, store: tracking.T
         "sweep": cell.text,
     }
     if (earlier := folder.read(RUN_ID)) is not None:
-        tracking.end_abandoned(store, earlier.decode())
+        runs.end_abandoned(tracking, earlier.decode())
     name = cell.title or f"evaluate {plan.experiment}"
-    with tracking.run(store, name, params, tags, cell.parent_run_id) as run:
+    with runs.run(tracking, name, params, tags, cell.parent_run_id) as run:
         folder.write(RUN_ID, run.run_id.encode())
         yield run
 
 
 def _metrics(episodes: Folder) -> dict[str, float]:
-    """Accepted share, mean cost and improvements by planner and cell, with their 95 % intervals, for MLflow."""
+    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals."""
     summary = summarise(checked_episodes(read_episodes(episodes)))
     metrics = {}
     for cell in summary.cells:
@@ -207,7 +204,7 @@ def _manifest(
         config_hash=identity.config_hash(),
         code_version=made_by.code_version,
         model=trained,
-        model_name=tracking.MODEL_NAME,
+        model_name=registry.MODEL_NAME,
         homes=plan.homes,
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,
@@ -221,7 +218,7 @@ def _manifest(
     )
 
 
-STAGE = Stage(run, compare_cells=report.compare_cells)
+STAGE = Stage(run, outline, compare_cells=report.compare_cells)
 
 if __name__ == "__main__":
     main("pipeline.evaluate")

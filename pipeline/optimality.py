@@ -5,25 +5,24 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.bounds.assess
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.statistics import Estimate, cell_name
-from pipeline import homes
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.backends import tracking
-from pipeline.backends.pool import Outcome, Pool
+from pipeline.backends.pool import ItemError, Pool
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
-from pipeline.episodes.plan import check, plan_evaluation
+from pipeline.episodes.prepare import prepare
 from pipeline.episodes.studies import assess_trial
 from pipeline.episodes.worker import Context, EpisodeKey, warm
-from pipeline.evaluate import load_model
-from pipeline.store.folder import Folder, locked
+from pipeline.store.artifacts import NotMade
+from pipeline.store.folder import Folder
 from pipeline.store.layout import OPTIMALITY
 from pipeline.store.rows import read_csv
 from pipeline.store.version import source_hash
@@ -33,74 +32,86 @@ KEY = "key"
 WRITE_EVERY_S = 10.0
 
 
+@dataclass(frozen=True)
+class Work:
+    """The trials to assess, those of them that are done, and what they share."""
+
+    keys: list[EpisodeKey]
+    context: Context
+    worlds: int
+    key: str
+    finished: list[dict[str, Any]]
+
+    @property
+    def missing(self) -> list[EpisodeKey]:
+        """The trials that are not done yet."""
+        done = {(row["trial_id"], row["planner"]) for row in self.finished}
+        return [key for key in self.keys if (key.trial_id, key.planner) not in done]
+
+    @property
+    def text(self) -> str:
+        """``90 trials, each in 100 worlds, model version 1``."""
+        version = self.context.provenance.model_version
+        return f"{len(self.keys)} trials, each in {self.worlds} worlds, model version {version}"
+
+
 def run(config: Config, session: Session) -> None:
-    """The stage."""
-    check(config.evaluation)
-    store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-    folder, options, began_s = Folder(config.output_dir), config.optimality, time.monotonic()
-    with locked(folder, config.cache_dir):
-        model = load_model(config, store)
-        measured = config.evaluation.model_copy(update={"planners": options.planners})
-        plan = plan_evaluation(config.model_copy(update={"evaluation": measured}), homes.run(config, session), model)
-        keys = [key for key in plan.keys if key.number < options.trials_per_cell]
-        sources = source_hash("mrtask/bounds")
-        hashed = content_hash([plan.identity.content(), options.worlds, sources])
-        console.headline(
-            "optimality", f"{len(keys)} trials, each in {options.worlds} worlds, model version {model.version}"
-        )
-        rows = _finished(folder, hashed)
-        done = {(row["trial_id"], row["planner"]) for row in rows}
-        missing = [key for key in keys if (key.trial_id, key.planner) not in done]
-        if not missing:
-            console.skipped(folder / OPTIMALITY)
-            return
-        _assess_all(missing, plan.context, options.worlds, session.pool, folder, rows, hashed)
-        for cell in summarise_optimality(pd.DataFrame(rows)):
-            console.line(_said(cell))
-        console.result(folder / OPTIMALITY, time.monotonic() - began_s)
+    """Assess the trials that are missing and write the table."""
+    began_s, target = time.monotonic(), Folder(config.output_dir)
+    work = _work(config, session.pool)
+    console.headline("optimality", work.text)
+    if not work.missing:
+        console.skipped(target / OPTIMALITY)
+        return
+    rows = _assess_all(work, session.pool, target)
+    for cell in summarise_optimality(pd.DataFrame(rows)):
+        console.line(_said(cell))
+    console.result(target / OPTIMALITY, time.monotonic() - began_s)
+
+
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say how many trials would be assessed."""
+    try:
+        work = _work(config, session.pool)
+    except NotMade as missing:
+        yield f"would assess {config.optimality.trials_per_cell} trials a cell; {missing}"
+    else:
+        yield f"would assess {work.text}; {len(work.finished)} are done"
+
+
+def _work(config: Config, pool: Pool) -> Work:
+    options = config.optimality
+    measured = config.evaluation.model_copy(update={"planners": options.planners})
+    plan = prepare(config.model_copy(update={"evaluation": measured}), pool)
+    hashed = content_hash([plan.identity.content(), options.worlds, source_hash("mrtask/bounds")])
+    keys = [key for key in plan.keys if key.number < options.trials_per_cell]
+    return Work(keys, plan.context, options.worlds, hashed, _finished(Folder(config.output_dir), hashed))
 
 
 def _finished(folder: Folder, hashed: str) -> list[dict[str, Any]]:
-    """The rows that are there and would come out the same."""
+    """Return the existing rows that would be the same if they were computed again."""
     rows = read_csv(folder, OPTIMALITY)
     if rows is None:
         return []
     return [{str(name): value for name, value in row.items()} for row in rows[rows[KEY] == hashed].to_dict("records")]
 
 
-def _assess_all(
-    missing: list[EpisodeKey],
-    context: Context,
-    worlds: int,
-    pool: Pool,
-    folder: Folder,
-    rows: list[dict[str, Any]],
-    hashed: str,
-) -> None:
-    """Adds to ``rows`` and writes them now and then."""
-    for key in {key.planner: key for key in missing}.values():
-        warm(key, context)
-    written_s = time.monotonic()
+def _assess_all(work: Work, pool: Pool, folder: Folder) -> list[dict[str, Any]]:
+    """Return all rows, which are written now and then, and also on an interrupt."""
+    for key in {key.planner: key for key in work.missing}.values():
+        warm(key, work.context)
+    rows, written_s = list(work.finished), time.monotonic()
     try:
-        with console.Progress(len(missing), "trials") as progress:
-            for outcome in pool.run(assess_trial, missing, context, worlds):
-                if outcome is None:
-                    progress.update(0)
-                    continue
-                rows.append({**_row(outcome), KEY: hashed})
-                progress.update()
-                if time.monotonic() > written_s + WRITE_EVERY_S:
-                    _write(folder, rows)
-                    written_s = time.monotonic()
+        for _, row in pool.values(assess_trial, work.missing, work.context, work.worlds, unit="trials"):
+            rows.append({**row, KEY: work.key})
+            if time.monotonic() > written_s + WRITE_EVERY_S:
+                _write(folder, rows)
+                written_s = time.monotonic()
+    except ItemError as error:
+        raise UserError(f"a bound could not be computed: {error}") from error
     finally:
-        # Also on an interrupt: what is finished stays.
         _write(folder, rows)
-
-
-def _row(outcome: Outcome[EpisodeKey, dict[str, Any]]) -> Mapping[str, Any]:
-    if outcome.value is None:
-        raise UserError(f"the bound of trial {outcome.item.trial_id} could not be computed: {outcome.failure}")
-    return outcome.value
+    return rows
 
 
 def _write(folder: Folder, rows: list[dict[str, Any]]) -> None:
@@ -122,7 +133,7 @@ def _percent(estimate: Estimate) -> str:
     return f"{estimate.value:.1f} %{interval}"
 
 
-STAGE = Stage(run)
+STAGE = Stage(run, outline)
 
 if __name__ == "__main__":
     main("pipeline.optimality")

@@ -8,7 +8,7 @@ share evaluations stands in `pipeline.arms`.
 
 import io
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -18,19 +18,22 @@ from mrtask.analysis.studies.calibration import Task, searched_in
 from mrtask.analysis.studies.prior_page import render_priors
 from mrtask.analysis.studies.prior_study import TRUTH, ArmRows
 from mrtask.execution.trace import Trace
-from pipeline import evaluate, homes, train
+from pipeline import train
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.arms import SharedRun, run_arms, slug
-from pipeline.backends import tracking
+from pipeline.arms import Arm, SharedRun, lay_out, slug, write_page
+from pipeline.backends import registry
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, with_overrides
-from pipeline.episodes.plan import plan_evaluation
+from pipeline.base.studies import Priors
+from pipeline.episodes.prepare import prepare
 from pipeline.episodes.studies import HomeTasks, beliefs_in_home
 from pipeline.episodes.worker import Context
+from pipeline.inputs import homes, rows, training
+from pipeline.store.artifacts import NotMade
 from pipeline.store.episode_row import TRACE
-from pipeline.store.folder import Folder, locked
-from pipeline.store.layout import BELIEFS, REPORT, REPORT_INDEX
+from pipeline.store.folder import Folder
+from pipeline.store.layout import BELIEFS, REPORT
 from pipeline.store.rows import read_episodes, read_traces
 
 WHAT = "priors"
@@ -53,46 +56,69 @@ class PriorArm:
 
 
 def run(config: Config, session: Session) -> None:
-    """The stage."""
+    """Train a model for every prior, run every arm and write the page."""
     began_s = time.monotonic()
+    versions = {name: train.run(one, session).model_version for name, one in _trainings(config)}
+    tasks_per_home = config.evaluation.tasks_per_home
+    arms = arms_of(config.priors, tasks_per_home, versions)
+    comparison = lay_out(config, _overrides(arms), config.evaluation.planners, WHAT)
+    comparison.run(session)
+    found: dict[str, tuple[pd.DataFrame, pd.DataFrame]] = {}
+    for one in comparison.shared:
+        found |= _read(one, session)
+    compared = [ArmRows(arm.contents, arm.prior, arm.adapts, *found[arm.name], arm.overrides) for arm in arms]
+    page = render_priors(compared, tasks_per_home, config.experiment)
+    write_page(Folder(config.output_dir) / REPORT, page, began_s)
+
+
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say which models would be trained, and once they are, which evaluations the arms would need."""
+    versions = {}
+    for name, one in _trainings(config):
+        try:
+            versions[name] = _trained_version(one)
+        except NotMade as missing:
+            yield f"would first train a model on homes with homes.contents={name} ({missing})"
+    if len(versions) == len(_trainings(config)):
+        arms = _overrides(arms_of(config.priors, config.evaluation.tasks_per_home, versions))
+        yield from lay_out(config, arms, config.evaluation.planners, WHAT).outline(session)
+    else:
+        priors = [*config.priors.trained_on, *config.priors.others]
+        yield f"would then compare the priors {', '.join(priors)} on one page"
+
+
+def _trainings(config: Config) -> list[tuple[str, Config]]:
+    """Return, for each kind of contents that a model is needed for, the configuration that trains it.
+
+    The priors ``others`` need no training of their own, but a model of each of the contents to stand in for.
+    """
     if config.evaluation.unsearched_share != (1.0, 1.0):
         raise UserError("evaluation.unsearched_share: priors are compared where nothing is known from the start")
-    # Of the contents that no prior is learned from, for the priors that nothing is learned for: they need some model.
     trained_on = dict.fromkeys([*config.priors.trained_on, *(config.priors.contents if config.priors.others else ())])
-    versions: dict[str, str] = {
-        name: train.run(with_overrides(config, [f"homes.contents={name}"]), session).model_version
-        for name in trained_on
-    }
-    arms = arms_of(config, versions)
-    planners = config.evaluation.planners
-    shared = run_arms(config, [(arm.name, arm.overrides) for arm in arms], planners, session, WHAT)
-    if config.dry_run:
-        return
-    folder = Folder(config.output_dir)
-    with locked(folder, config.cache_dir):
-        rows: dict[str, tuple[pd.DataFrame, pd.DataFrame]] = {}
-        for one in shared:
-            rows |= _read(one, session)
-        compared = [ArmRows(arm.contents, arm.prior, arm.adapts, *rows[arm.name], arm.overrides) for arm in arms]
-        page = render_priors(compared, config.evaluation.tasks_per_home, config.experiment)
-        (folder / REPORT).write(REPORT_INDEX, page.encode())
-    console.result(folder / REPORT / REPORT_INDEX, time.monotonic() - began_s)
+    return [(name, with_overrides(config, [f"homes.contents={name}"])) for name in trained_on]
 
 
-def arms_of(config: Config, versions: Mapping[str, str]) -> list[PriorArm]:
-    """All arms, those of one contents together; ``versions``: contents -> the model trained on homes with them."""
-    models = {name: f"evaluation.model_uri=models:/{tracking.MODEL_NAME}/{one}" for name, one in versions.items()}
+def _trained_version(config: Config) -> str:
+    home_set = homes.make(config.homes, config.contents, config.datasets_dir, None)
+    return training.find(rows.find(home_set, config.datasets_dir), training.training(config)).model_version
+
+
+def _overrides(arms: Sequence[PriorArm]) -> list[Arm]:
+    return [(arm.name, arm.overrides) for arm in arms]
+
+
+def arms_of(options: Priors, tasks_per_home: int, versions: Mapping[str, str]) -> list[PriorArm]:
+    """Return all arms, grouped by contents; ``versions``: contents -> the model trained on homes with them."""
+    models = {name: f"evaluation.model_uri={registry.version_uri(one)}" for name, one in versions.items()}
     found = []
-    for contents in config.priors.contents:
-        priors: dict[str, tuple[str, ...]] = {
-            name: (models[contents], UNTRAINED[name]) for name in config.priors.others
-        }
-        priors |= {name: (models[name],) for name in config.priors.trained_on}
+    for contents in options.contents:
+        priors: dict[str, tuple[str, ...]] = {name: (models[contents], UNTRAINED[name]) for name in options.others}
+        priors |= {name: (models[name],) for name in options.trained_on}
         for prior, overrides in priors.items():
-            learns = prior != TRUTH and config.evaluation.tasks_per_home > 1
+            learns = prior != TRUTH and tasks_per_home > 1
             for adapts in (False, True) if learns else (False,):
-                given = (f"homes.contents={contents}", *overrides, f"belief.adapt={str(adapts).lower()}")
-                found.append(PriorArm(contents, prior, adapts, given))
+                changes = (f"homes.contents={contents}", *overrides, f"belief.adapt={str(adapts).lower()}")
+                found.append(PriorArm(contents, prior, adapts, changes))
     return found
 
 
@@ -101,23 +127,20 @@ def _read(shared: SharedRun, session: Session) -> dict[str, tuple[pd.DataFrame, 
     config, found = shared.configured(), {}
     names = dict(shared.arms)
     context: Context | None = None
-    for arm, rows in shared.by_arm(read_episodes(shared.episodes)):
+    for arm, of_arm in shared.by_arm(read_episodes(shared.episodes)):
         folder, file = Folder(config.output_dir) / BELIEFS, f"{slug(arm)}.parquet"
         content = folder.read(file)
         beliefs = None if content is None else pd.read_parquet(io.BytesIO(content))
-        planner = str(main_planner(sorted(set(rows["planner"]))))
-        own = rows[(rows["planner"] == planner) & rows["home_id"].notna()]
+        planner = str(main_planner(sorted(set(of_arm["planner"]))))
+        own = of_arm[(of_arm["planner"] == planner) & of_arm["home_id"].notna()]
         if beliefs is None or set(beliefs["trial_id"]) != set(own["trial_id"]):
-            if context is None:
-                store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-                model = evaluate.load_model(config, store)
-                context = plan_evaluation(config, homes.run(config, session), model).context
+            context = context or prepare(config, session.pool).context
             console.headline("beliefs", arm)
             beliefs = _beliefs(own, names[arm][planner], shared.episodes, context, session)
             buffer = io.BytesIO()
             beliefs.to_parquet(buffer, index=False)
             folder.write(file, buffer.getvalue())
-        found[arm] = (rows, beliefs)
+        found[arm] = (of_arm, beliefs)
     return found
 
 
@@ -142,19 +165,11 @@ def _beliefs(own: pd.DataFrame, planner: str, episodes: Folder, context: Context
         )
         for _, of_home in own.groupby(["size_class", "robots", "chain"])
     ]
-    parts = []
-    with console.Progress(len(chains), "homes") as progress:
-        for outcome in session.pool.run(beliefs_in_home, chains, context):
-            if outcome is None:
-                continue
-            if outcome.value is None:
-                raise RuntimeError(f"beliefs in home {outcome.item.home_id} could not be computed: {outcome.failure}")
-            parts.append(outcome.value)
-            progress.update()
-    return pd.concat(parts).sort_values(["trial_id", "pair"], ignore_index=True)
+    found = session.pool.values(beliefs_in_home, chains, context, unit="homes", named=lambda tasks: tasks.home_id)
+    return pd.concat([beliefs for _, beliefs in found]).sort_values(["trial_id", "pair"], ignore_index=True)
 
 
-STAGE = Stage(run)
+STAGE = Stage(run, outline)
 
 if __name__ == "__main__":
     main("pipeline.priors")

@@ -1,13 +1,13 @@
-"""Makes an episode to be watched: one HTML file with the drives, the beliefs and the reasons, beside the results.
+"""Replays an episode as one HTML file to watch: the drives, the beliefs and the reasons, beside the results.
 
     python -m pipeline.replay trial_id=large-3-073 planners=[pouct,learned_myopic] output_dir=outputs/paper
 
-The trial runs again with what the run in output_dir recorded of itself, and must come out equal. The page is
+The trial runs again as the run in output_dir recorded it, and the result must be equal. The page is
 ``<output_dir>/replays/<trial_id>.html`` and needs no network.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pandas as pd
@@ -19,13 +19,13 @@ from mrtask.analysis.drawing.trajectories import baseline_beside
 from mrtask.analysis.results.statistics import main_planner
 from mrtask.execution.trace import Trace
 from mrtask.tasks.automaton import build_automaton
-from pipeline import evaluate, homes
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.backends import tracking
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, suggest
-from pipeline.episodes.plan import EvaluationPlan, covering, plan_evaluation
+from pipeline.base.studies import Replay
+from pipeline.episodes.plan import EvaluationPlan, covering
+from pipeline.episodes.prepare import prepare
 from pipeline.episodes.worker import run_chain
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE, EpisodeRow
@@ -42,17 +42,11 @@ PLAYED = ("accepted", "failed")
 
 
 def run(config: Config, session: Session) -> None:
-    """The stage."""
+    """Run the trial again and write its page."""
     began_s, folder = time.monotonic(), Folder(config.output_dir)
-    trial_id = config.replay.trial_id
-    if trial_id is None:
-        raise UserError("replay.trial_id: a value is needed, give it as trial_id=..., such as trial_id=large-3-073")
-    rows = _rows(folder, trial_id)
-    planners = _planners(rows, config.replay.planners, trial_id)
+    trial_id, rows, planners = _chosen(config.replay, folder)
     console.headline("replay", f"trial {trial_id} by {', '.join(planners)}")
-    recorded = _recorded(config, folder)
-    store = tracking.open_tracking(recorded.tracking.uri, recorded.tracking.experiment_name)
-    plan = plan_evaluation(recorded, homes.run(recorded, session), evaluate.load_model(recorded, store))
+    plan = prepare(_recorded(config, folder), session.pool)
     episodes = [_replayed(rows[planner], plan, folder) for planner in planners]
     row = rows[planners[0]]
     home = next(home for home in plan.context.homes if home.id == row["home_id"])
@@ -62,6 +56,21 @@ def run(config: Config, session: Session) -> None:
     target, name = folder / REPLAYS, f"{trial_id}.html"
     target.write(name, render_replay(replay, command).encode())
     console.result(target / name, time.monotonic() - began_s)
+
+
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say whose episodes of which trial would be replayed."""
+    folder = Folder(config.output_dir)
+    trial_id, _, planners = _chosen(config.replay, folder)
+    yield f"would replay trial {trial_id} by {', '.join(planners)} -> {folder / REPLAYS / f'{trial_id}.html'}"
+
+
+def _chosen(options: Replay, folder: Folder) -> tuple[str, dict[str, Row], tuple[str, ...]]:
+    """Return the trial, its rows by planner, and the planners to show."""
+    if options.trial_id is None:
+        raise UserError("replay.trial_id: a value is needed, give it as trial_id=..., such as trial_id=large-3-073")
+    rows = _rows(folder, options.trial_id)
+    return options.trial_id, rows, _planners(rows, options.planners, options.trial_id)
 
 
 def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
@@ -98,7 +107,7 @@ def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) ->
         return asked
     main_one = main_planner(tuple(played))
     if main_one is None:
-        raise UserError(f"trial_id={trial_id}: no planner came to an end, there is nothing to watch")
+        raise UserError(f"trial_id={trial_id}: no planner finished, there is nothing to watch")
     beside = baseline_beside(list(played), main_one)
     return (main_one, beside) if beside else (main_one,)
 
@@ -131,7 +140,7 @@ def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
     """Runs the episode of a row again.
 
     Raises:
-        UserError: it does not come out equal.
+        UserError: the result is another one.
     """
     [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
     [chain] = plan.chains([key])
@@ -166,11 +175,11 @@ def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: Evaluati
     elif changed:
         reason = f"the run's configuration has changed: {'; '.join(changed)}"
     else:
-        reason = "a planner with a time_limit_s plans as far as it gets, on other processors even without one"
+        reason = "a planner with a time_limit_s gets as far as time allows; other processors may round otherwise"
     return f"{row['planner']} on {row['trial_id']} does not replay to the stored episode ({shown}): {reason}"
 
 
-STAGE = Stage(run, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
+STAGE = Stage(run, outline, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
 
 if __name__ == "__main__":
     main("pipeline.replay")

@@ -7,7 +7,7 @@ On the output_dir of a sweep it compares the sweep's cells.
 
 import tempfile
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.base.sections import Tracking
@@ -66,6 +66,12 @@ class Collected:
         """That of the last evaluation."""
         return self.evaluations[-1][1]
 
+    @property
+    def key(self) -> ReportKey:
+        """The hash of all that the report depends on."""
+        code = source_hash("mrtask/analysis")
+        return ReportKey(key=content_hash([_digest(self.episodes), self.facts, _as_text(self.optimality), code]))
+
     def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
         keys = [name for name in ("sweep", "trial_id", "planner") if name in self.episodes.columns]
@@ -77,52 +83,58 @@ class Collected:
 
 
 def run(config: Config, session: Session) -> None:
-    """The stage."""
+    """Write the report of what the output folder holds."""
+    report(Folder(config.output_dir), config.tracking)
+
+
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say on how many episodes the report would be."""
     folder = Folder(config.output_dir)
-    with locked(folder, config.cache_dir):
-        report(folder, config.tracking)
+    collected = collect(folder)
+    what = "is up to date" if _is_current(collected, folder) else "would be written"
+    yield f"the report on {len(collected.episodes)} episodes {what}: {folder / REPORT / REPORT_INDEX}"
 
 
 def compare_cells(config: Config, run_id: str | None) -> None:
-    """The report of a sweep, kept with the sweep's MLflow run."""
-    report(Folder(config.output_dir), config.tracking, run_id)
+    """Write the report of a sweep and keep it with the sweep's MLflow run."""
+    folder = Folder(config.output_dir)
+    with locked(folder, config.cache_dir):
+        report(folder, config.tracking, run_id)
 
 
-def report(folder: Folder, registry: Tracking, run_id: str | None = None) -> Folder:
-    """The folder of the report on what an output folder holds; the report is written unless it is there already.
+def report(folder: Folder, options: Tracking, run_id: str | None = None) -> Folder:
+    """Write the report on what an output folder holds, unless it is up to date, and return the report's folder.
 
-    It is kept with the MLflow run ``run_id`` too, if the store has it; by default with that of the evaluation.
+    The MLflow run ``run_id``, by default that of the evaluation, gets a copy if the tracking store has that run.
     """
     began_s = time.monotonic()
     collected = collect(folder)
     console.headline("report", f"{len(collected.episodes)} episodes")
     target = folder / REPORT
-    digest = content_hash(
-        [_digest(collected.episodes), collected.facts, _as_text(collected.optimality), source_hash("mrtask/analysis")]
-    )
-    key = ReportKey(key=digest)
-    if target.read(REPORT_KEY) == key.to_json():
+    if _is_current(collected, folder):
         console.skipped(target / REPORT_INDEX)
         return target
     with tempfile.TemporaryDirectory() as temporary:
         table = _render(collected, Path(temporary))
         target.upload(Path(temporary))
-        store = tracking.open_tracking(registry.uri, registry.experiment_name)
-        kept_with = tracking.Run(store, run_id or collected.manifest.run_id)
-        if tracking.has_run(store, kept_with.run_id):
-            tracking.log_artifact(kept_with, Path(temporary), REPORT)
-            tracking.log_table(kept_with, table, TABLE_ARTIFACT)
+        tracking = runs.open_tracking(options.uri, options.experiment_name)
+        kept_with = runs.Run(tracking, run_id or collected.manifest.run_id)
+        if runs.has_run(tracking, kept_with.run_id):
+            runs.log_artifact(kept_with, Path(temporary), REPORT)
+            runs.log_table(kept_with, table, TABLE_ARTIFACT)
         else:
-            console.line(
-                f"tracking.uri={registry.uri} does not hold this evaluation: MLflow gets no copy of the report"
-            )
-    key.write(target, REPORT_KEY)
+            console.line(f"tracking.uri={options.uri} does not hold this evaluation: MLflow gets no copy of the report")
+    collected.key.write(target, REPORT_KEY)
     console.result(target / REPORT_INDEX, time.monotonic() - began_s)
     return target
 
 
+def _is_current(collected: Collected, folder: Folder) -> bool:
+    return (folder / REPORT).read(REPORT_KEY) == collected.key.to_json()
+
+
 def collect(folder: Folder) -> Collected:
-    """What a run, or all finished cells of a sweep, have left.
+    """Return what a run, or all finished cells of a sweep, have left.
 
     Raises:
         UserError: no evaluation has finished there.
@@ -146,7 +158,7 @@ def collect(folder: Folder) -> Collected:
 
 
 def _asked(folder: Folder) -> dict[str, Any]:
-    """What the run was asked for, bit by bit, which may be more than the manifest of its last end knows of."""
+    """Return what the run was asked for, command by command; the manifest knows only what has finished."""
     identity = RunIdentity.find(folder, IDENTITY)
     if identity is None:
         return {}
@@ -193,7 +205,7 @@ def _apartments(folder: Folder) -> dict[str, dict[str, Any]]:
 
 
 def _render(collected: Collected, target: Path) -> pd.DataFrame:
-    """Writes the report's files, with those episodes drawn that show most, and returns its table for machines."""
+    """Write the report's files, draw the most telling episodes, and return the table for machines."""
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
@@ -211,7 +223,7 @@ def _as_text(rows: pd.DataFrame | None) -> str | None:
 
 
 def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
-    """The homes to be drawn; those whose files are gone are left out."""
+    """Return the homes to draw, none where their files are gone."""
     source = evaluated.read_from
     if not all(path.is_file() for path in source.paths):
         console.line("the homes' files are gone: no episode is drawn")
@@ -219,7 +231,7 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-STAGE = Stage(run)
+STAGE = Stage(run, outline)
 
 if __name__ == "__main__":
     main("pipeline.report")

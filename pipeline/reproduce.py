@@ -4,18 +4,19 @@ experiment=paper (default) is the paper's; experiment=smoke the same in small.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
-from pipeline import dataset, evaluate, homes, report, train
+from pipeline import evaluate, report, train
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.backends import tracking
 from pipeline.base import console
 from pipeline.base.config import Config
 from pipeline.episodes.kernels import compiled_meanwhile
-from pipeline.episodes.plan import check
-from pipeline.store.folder import Folder, locked
+from pipeline.episodes.plan import check, plan_evaluation
+from pipeline.episodes.prepare import load_model
+from pipeline.inputs import homes, rows, training
+from pipeline.store.folder import Folder
 from pipeline.store.layout import REPORT_INDEX, STAGES
 from pipeline.store.records import StageTimes
 
@@ -23,7 +24,7 @@ Result = TypeVar("Result")
 
 
 def run(config: Config, session: Session) -> None:
-    """All stages, one after the other."""
+    """Run all stages, one after the other."""
     seconds: dict[str, float] = {}
     started_s = time.monotonic()
 
@@ -34,31 +35,32 @@ def run(config: Config, session: Session) -> None:
         return result
 
     check(config.evaluation)
-    train.check(config.model, config.trainer)
+    wanted = training.training(config)
+    wanted.check()
+    with compiled_meanwhile(config.compared):
+        home_set = timed("homes", lambda: homes.make(config.homes, config.contents, config.datasets_dir, session.pool))
+        labelled = timed("dataset", lambda: rows.build(home_set, config.datasets_dir, session.pool))
+        timed("train", lambda: training.train(labelled, wanted))
+    plan = plan_evaluation(config, home_set, load_model(config))
+    timed("evaluate", lambda: evaluate.evaluate(plan, config, session))
     folder = Folder(config.output_dir)
-    with locked(folder, config.cache_dir):
-        planners = config.evaluation.planners
-        with compiled_meanwhile(
-            {name: (config.planner_behind(name), config.planner_options(name)) for name in planners}
-        ):
-            home_set = timed("homes", lambda: homes.run(config, session))
-            rows = timed("dataset", lambda: dataset.build(home_set, config.datasets_dir, session.pool))
-            timed("train", lambda: train.train_on(rows, config))
-        store = tracking.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-        model = evaluate.load_model(config, store)
-        timed("evaluate", lambda: evaluate.evaluate(config, session, home_set, store, model))
-        if config.dry_run:
-            return
-        if StageTimes.find(folder, STAGES) is None:
-            StageTimes(seconds=seconds).write(folder, STAGES)
-        target = report.report(folder, config.tracking)
+    if StageTimes.find(folder, STAGES) is None:
+        StageTimes(seconds=seconds).write(folder, STAGES)
+    target = report.report(folder, config.tracking)
     total = console.duration(time.monotonic() - started_s)
     console.headline(
         "done", f"{config.experiment} in {total}; open {target / REPORT_INDEX}, or `make dashboard` for all runs"
     )
 
 
-STAGE = Stage(run, compare_cells=report.compare_cells)
+def outline(config: Config, session: Session) -> Iterator[str]:
+    """Say what each stage would do; once homes and model exist, also how long the evaluation would take."""
+    yield from train.outline(config, session)
+    yield from evaluate.outline(config, session)
+    yield "would write the report"
+
+
+STAGE = Stage(run, outline, compare_cells=report.compare_cells)
 
 if __name__ == "__main__":
     main("pipeline.reproduce")

@@ -1,12 +1,12 @@
-"""Runs one task in one home by every planner and prints the metres that each needed.
+"""Runs one task in one home by every planner and prints the metres that each drove.
 
     python -m pipeline.scenario name=apartment1
     python -m pipeline.scenario map=lab.yaml containers=containers.yaml task="pillow and remote" robots=2
 
-What searches at random runs with several seeds; metres are means over them. Writes into output_dir (default
-outputs/scenario/<name>), of the first seed: replay.html, all planners side by side to be watched; plans.png, the first
-of the search planners beside the first baseline; traces/<planner>.json. Every key, with its default:
-conf/scenario.yaml; planners' options are planner.pouct.samples=1000 and the like.
+Every planner runs with several seeds; metres are means over them. The files in output_dir (default
+outputs/scenario/<name>) show the first seed: replay.html has all planners side by side, to watch; plans.png has the
+first search planner beside the first baseline; traces/<planner>.json. conf/scenario.yaml lists every key with its
+default; planners' options are planner.pouct.samples=1000 and the like.
 """
 
 import json
@@ -28,7 +28,7 @@ from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
 from mrtask.planning.planners import Role, make_planner, planner_role, planners_in_order
 from mrtask.tasks.automaton import build_automaton
-from pipeline.app.given import GivenTrial, scenario_files
+from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.tool import load_options, main, overrides
 from pipeline.base import console
 from pipeline.base.config import UserError
@@ -38,9 +38,9 @@ BASELINE = "nonlearned_myopic"
 
 
 def run(arguments: Sequence[str]) -> None:
-    """The tool."""
+    """Run the tool."""
     given = overrides(arguments, VERBATIM)
-    options = load_options(GivenTrial, scenario_files(given, "scenario.yaml"), given)
+    options = load_options(ScenarioOptions, scenario_files(given, "scenario.yaml"), given)
     folder = options.output_dir / (options.name or options.map.stem)
     home = read_map_worlds(options.map, options.containers, 1, options.seed)[0]
     scenario = make_scenario(
@@ -86,15 +86,17 @@ def run(arguments: Sequence[str]) -> None:
     console.line(f"-> {console.shown(folder)}")
 
 
-def _run(scenario: Scenario, name: str, options: GivenTrial, number: int, observe: Recorder | None) -> EpisodeResult:
-    """The episode of the seed of this number."""
+def _run(
+    scenario: Scenario, name: str, options: ScenarioOptions, number: int, observe: Recorder | None
+) -> EpisodeResult:
+    """Return the episode with the seed of this number."""
     trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
     planner = make_planner(name, options.options_of(name))
     return run_episode(trial, scenario.home, scenario.home_map, scenario.likelihood, planner, name, observe=observe)
 
 
 def likelihoods(scenario: Scenario) -> list[str]:
-    """What planners are told before they start: how likely each object is in each container; ``*`` marks the truth."""
+    """Return what planners know at the start: how likely each object is in each container; ``*`` marks the truth."""
     objects = scenario.trial.objects
     lines = [f"{'likelihood':<24}" + "".join(f"{name:>12}" for name in objects)]
     for container, probs in zip(scenario.home.containers, scenario.likelihood, strict=True):
@@ -106,13 +108,13 @@ def likelihoods(scenario: Scenario) -> list[str]:
 
 
 def metres(result: EpisodeResult) -> tuple[float, float]:
-    """How far the robot that drove longest had driven when the task was done, and all robots together."""
+    """Return how far the robot that drove farthest drove, and all robots together."""
     each = driven_m(result.trace)
     return max(each), sum(each)
 
 
 def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTrial | None) -> list[str]:
-    """The planners' metres, means over seeds or worlds, and the paper's where the scenario is one of its."""
+    """Return the planners' metres, means over seeds or worlds, and the paper's where it has the scenario."""
     base_m = _mean_metres(results.get(BASELINE, ()))
     lines = [f"{'planner':<24}{'metres':>8}{'least':>8}{'most':>8}{'together':>10}{'decisions':>11}{'saved':>8}"]
     for name, of_seeds in results.items():
@@ -137,7 +139,7 @@ def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTr
 
 
 def _mean_metres(of_seeds: Sequence[EpisodeResult]) -> float | None:
-    """None where a seed failed, or none ran."""
+    """Return the mean metres, None where a seed failed or none ran."""
     if not of_seeds or any(result.error is not None for result in of_seeds):
         return None
     return fmean(metres(result)[0] for result in of_seeds)
@@ -147,10 +149,10 @@ def _replay(
     scenario: Scenario,
     results: Mapping[str, EpisodeResult],
     recorders: Mapping[str, Recorder],
-    options: GivenTrial,
+    options: ScenarioOptions,
     command: str,
 ) -> str:
-    """The page of all planners side by side."""
+    """Return the page of all planners side by side."""
     trial = scenario.trial
     episodes = [
         Episode(name, result.status, result.cost_s, result.error, result.trace, recorders[name].decisions)

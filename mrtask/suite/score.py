@@ -24,7 +24,7 @@ import pandas as pd
 import yaml
 from tqdm import tqdm
 
-from mrtask.errors import InputError
+from mrtask.errors import InputError, refuse
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.files import default_cache_dir
 from mrtask.planning.planners import make_planner
@@ -36,7 +36,6 @@ from mrtask.suite.recorded import recorded_episodes
 COLUMNS = ("trial_id", "size_class", "robots", "template", "planner", "status", "cost_s", "decisions", "planning_s")
 KEYS = ("options", "suite", "workers", "trials_per_cell", "out")
 EPISODES_FILE, CARD_FILE = "episodes.csv", "card.txt"
-USER_ERROR_EXIT = 2
 
 
 @dataclass(frozen=True)
@@ -140,8 +139,7 @@ def main(arguments: list[str]) -> int:
         if len(episodes) < len(suite.trials):
             card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: not a score to quote."
     except (InputError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return USER_ERROR_EXIT
+        return refuse(error)
     print(f"{card}\n\n{planning_text(episodes)}")
     print(f"{time.monotonic() - began_s:.0f} s on {request.workers} workers")
     if request.out is not None:

@@ -1,1 +1,1 @@
-"""Running a stage: the command line's configuration, one way to report mistakes, sweeps."""
+"""Runs stages and tools: the command line's configuration, one way to report mistakes, sweeps."""

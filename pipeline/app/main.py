@@ -1,7 +1,7 @@
-"""Makes a stage module runnable: ``python -m pipeline.<stage>`` as a Hydra app with one way to report mistakes.
+"""Makes a stage module runnable: ``python -m pipeline.<stage>`` as a Hydra app that reports mistakes in one way.
 
-A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2; an interrupt
-in 130; anything else is a bug and keeps its traceback.
+A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2, an interrupt
+in exit code 130; anything else is a bug and keeps its traceback.
 """
 
 import atexit
@@ -12,7 +12,6 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -20,37 +19,36 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrtask.errors import InputError
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
 from mrtask.files import default_cache_dir
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import interrupt
+from pipeline.base.config import CONF_DIR
 from pipeline.base.sections import Cluster
 
-CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
-USER_ERROR_EXIT = 2
 
 
 def main(module_name: str) -> None:
-    """Runs the module's ``STAGE`` with the configuration from the command line."""
+    """Run the module's ``STAGE`` with the configuration from the command line."""
     _prepare_process(module_name)
     try:
         with interrupt.remembered():
             hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(_fail(error))
+        sys.exit(refuse(_friendly(str(error))))
     except KeyboardInterrupt as stop:
         if running := sweep.under_way():
             running.interrupted(stop)
         print(interrupt.MESSAGE, file=sys.stderr)
-        sys.exit(interrupt.INTERRUPT_EXIT)
+        sys.exit(INTERRUPT_EXIT)
 
 
 class _Workers:
-    """The pool of the cluster in use; the cells of a sweep share it, and it ends with the process."""
+    """Keeps the pool of the cluster in use; the cells of a sweep share it, and it ends with the process."""
 
     def __init__(self) -> None:
         self._cluster: Cluster | None = None
@@ -58,17 +56,11 @@ class _Workers:
         atexit.register(self._open.close)
 
     def of(self, cluster: Cluster) -> Pool:
-        """The workers of this cluster, in place of those of another."""
+        """Return the workers of this cluster, after closing those of another."""
         if cluster != self._cluster:
             self._open.close()
             self._cluster, self._pool = cluster, self._open.enter_context(Pool(cluster))
         return self._pool
-
-
-def _fail(error: Exception) -> int:
-    """Prints a user's mistake; returns the exit code."""
-    print(f"error: {_friendly(str(error))}", file=sys.stderr)
-    return USER_ERROR_EXIT
 
 
 def _task(module_name: str) -> Callable[[DictConfig], None]:
@@ -77,21 +69,21 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
     def task(composed: DictConfig) -> None:
         try:
             config = schema.load(composed)
-            # Imported by name also when it is __main__, so that what it sends to workers is found there.
+            # Imported by name even when it is __main__, so that workers find what it sends them.
             stage: Stage = importlib.import_module(module_name).STAGE
             pool = workers.of(config.cluster)
             if running := sweep.under_way():
                 running.run_cell(stage, config, HydraConfig.get().overrides.task, pool)
             else:
-                stage.run(config, Session(pool))
+                stage.start(config, Session(pool))
         except InputError as error:
-            sys.exit(_fail(error))
+            sys.exit(refuse(_friendly(str(error))))
 
     return task
 
 
 def _prepare_process(module_name: str) -> None:
-    # Exceptions come to `main` instead of Hydra's own printing.
+    # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = [_for_hydra(argument) for argument in sys.argv]
     if not sys.warnoptions:
@@ -109,7 +101,7 @@ def _prepare_process(module_name: str) -> None:
 
 
 def _for_hydra(argument: str) -> str:
-    """An argument as Hydra's grammar has it: formulas and tasks in quotes, which the shell has taken away."""
+    """Return an argument in Hydra's grammar: formulas and tasks in quotes, which the shell has removed."""
     if argument == "--dry-run":
         return "dry_run=true"
     key, equals, text = argument.partition("=")
@@ -118,17 +110,17 @@ def _for_hydra(argument: str) -> str:
         return argument
     if name == TASK_KEY:
         return f"{key}='{text.strip()}'"
-    # A comma is no part of a formula, as it is of words: it separates those of a sweep.
+    # In a formula, unlike in words, a comma can only separate the values of a sweep.
     return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
 
 
 def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:
-    """An override with its key's group."""
+    """Return an override with its key's group."""
     key, equals, value = argument.partition("=")
     return f"{shorthands.get(key, key)}{equals}{value}"
 
 
 def _friendly(message: str) -> str:
-    """Hydra's refusal of an unknown key, with the keys that exist."""
+    """Return a message; if Hydra refuses an unknown key, with the keys that exist."""
     unknown = re.search(r"Could not override '([^']+)'", message)
     return schema.explain_unknown_key(unknown[1]) if unknown else message.partition("\n\nConfig search path")[0]

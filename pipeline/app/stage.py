@@ -1,20 +1,24 @@
-"""What the command line needs of a stage, and what it gives to it."""
+"""A stage as its module declares it, and the one way to start it: dry or real, with its folder locked."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from typing import Literal
 
 from pipeline.backends.pool import Pool
+from pipeline.base import console
 from pipeline.base.config import Config
+from pipeline.store.folder import Folder, locked
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Which cell of a sweep a stage runs for; outside sweeps all is empty."""
+    """Which cell of a sweep a stage runs for; outside sweeps all fields are empty."""
 
     text: str = ""
-    """What the cell has of the swept values: ``planner.pouct.samples=100``."""
+    """The cell's values of the swept keys: ``planner.pouct.samples=100``."""
     title: str = ""
-    """The same without the keys' groups, ``samples=100``, where that is as clear: lists show names cut off."""
+    """The same without the keys' groups, ``samples=100``, where that is as clear: lists cut long names off."""
     parent_run_id: str | None = None
     """The MLflow run of the sweep."""
 
@@ -29,10 +33,25 @@ class Session:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage as the command line runs it: what the module of a stage has as ``STAGE``."""
+    """What the module of a stage declares as ``STAGE``."""
 
     run: Callable[[Config, Session], object]
+    outline: Callable[[Config, Session], Iterable[str]]
+    """What a dry run says the stage would do, line by line. It leaves no file behind but in the cache."""
+    locks: Literal["always", "to draw", "never"] = "always"
+    """When the stage holds ``output_dir``, so that no other run writes there: always, with ``draw=true``, never."""
     compare_cells: Callable[[Config, str | None], object] | None = None
-    """Compares the cells of a sweep, given its own configuration and MLflow run; of a stage that leaves episodes."""
+    """Compares the cells of a sweep, given the sweep's configuration and MLflow run; for stages that leave episodes."""
     shorthands: Mapping[str, str] = field(default_factory=dict)
     """Keys that the stage also takes without their group: ``trial_id`` -> ``replay.trial_id``."""
+
+    def start(self, config: Config, session: Session) -> None:
+        """Run the stage, or with ``dry_run=true`` say what it would do."""
+        if config.dry_run:
+            console.headline("dry run", "nothing is written")
+            for text in self.outline(config, session):
+                console.line(text)
+            return
+        holds = self.locks == "always" or (self.locks == "to draw" and config.draw)
+        with locked(Folder(config.output_dir), config.cache_dir) if holds else nullcontext():
+            self.run(config, session)

@@ -1,6 +1,6 @@
 """Sweeps (``-m``): all cells are checked before the first one starts, each has its own folder and MLflow child run.
 
-A cell's results are in ``<output_dir>/cells/<what was swept>``; the report of ``<output_dir>`` compares the cells.
+A cell's results are in ``<output_dir>/cells/<its values>``; the report of ``<output_dir>`` compares the cells.
 Hydra runs the cells one after the other in this process.
 """
 
@@ -21,9 +21,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrtask.errors import InputError
+from mrtask.errors import InputError, refuse
 from pipeline.app.stage import Cell, Session, Stage
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
 from pipeline.base import console
@@ -40,57 +40,56 @@ class Sweep:
 
     swept: frozenset[str]
     config: Config
-    """Its own: the output folder is that of the whole sweep."""
+    """The sweep's own: its output folder is that of the whole sweep."""
     cells: int
     compare_cells: Callable[[Config, str | None], object] | None = None
-    """What its end calls; set by the first cell that leaves something to compare."""
+    """What the end of the sweep calls; set by the first cell that leaves something to compare."""
     started: int = 0
     failed: list[str] = field(default_factory=list)
     parent_run_id: str | None = None
     cleanup: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def run_cell(self, stage: Stage, config: Config, overrides: Sequence[str], pool: Pool) -> None:
-        """Runs the stage in the cell's own output folder; a mistake of the user's is noted, so that other cells run."""
+        """Run the stage in the cell's own output folder; note a user's mistake, so that the other cells still run."""
         self.started += 1
         text = _text(overrides, self.swept)
         console.headline(f"cell {self.started}/{self.cells}", text)
         cell = Cell(text, _without_groups(text, self.swept), self.parent_run_id)
         try:
             own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
-            stage.run(config.model_copy(update=own_folder), Session(pool, cell))
+            stage.start(config.model_copy(update=own_folder), Session(pool, cell))
         except InputError as error:
             self.failed.append(f"{text}: {error}")
-            print(f"error: {error}", file=sys.stderr)
+            refuse(error)
         else:
             if not config.dry_run:
                 self.compare_cells = stage.compare_cells
 
     def end(self) -> None:
-        """Compares the cells, and says which failed."""
+        """Compare the cells, and say which failed."""
         if self.compare_cells is not None:
             self.compare_cells(self.config, self.parent_run_id)
         self.cleanup.close()
         if self.failed:
-            headline = f"error: {len(self.failed)} of {self.cells} cells failed:"
-            print("\n".join([headline, *self.failed]), file=sys.stderr)
-            sys.exit(2)
+            headline = f"{len(self.failed)} of {self.cells} cells failed:"
+            sys.exit(refuse("\n".join([headline, *self.failed])))
 
     def interrupted(self, error: BaseException) -> None:
-        """Marks the sweep's MLflow run as killed."""
+        """Mark the sweep's MLflow run as killed."""
         self.cleanup.__exit__(type(error), error, error.__traceback__)
 
 
 _sweep: Sweep | None = None
-"""Hydra makes the callback itself and calls it and the cells apart from each other; here they find the same sweep."""
+"""Hydra creates the callback and calls it and the cells separately; here they find the same sweep."""
 
 
 def under_way() -> Sweep | None:
-    """The sweep that this process runs; None where it runs a stage once."""
+    """Return the sweep that this process runs; None where it runs a stage once."""
     return _sweep
 
 
 def sweep_dir(output_dir: str) -> str:
-    """Where Hydra leaves its record of the sweep: in a local output_dir, else out of the way."""
+    """Return where Hydra leaves its record of the sweep: in a local output_dir, else out of the way."""
     return tempfile.gettempdir() if "://" in output_dir else output_dir
 
 
@@ -98,13 +97,13 @@ class SweepCallback(Callback):
     """Hydra calls this before the first and after the last cell."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Checks every cell and opens the sweep."""
+        """Check every cell and open the sweep."""
         global _sweep
         with _errors_end_the_process():
             _sweep = _open(list(config.hydra.overrides.task))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Compares the cells."""
+        """Compare the cells."""
         if _sweep is not None:
             with _errors_end_the_process():
                 _sweep.end()
@@ -112,22 +111,21 @@ class SweepCallback(Callback):
 
 @contextlib.contextmanager
 def _errors_end_the_process() -> Iterator[None]:
-    """Hydra turns a callback's exceptions into warnings and goes on; but for `SystemExit`."""
+    """End the process on errors: Hydra turns a callback's exceptions, except `SystemExit`, into warnings."""
     try:
         yield
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(refuse(error))
     except Exception:
         traceback.print_exc()
         sys.exit(1)
 
 
 def _open(overrides: list[str]) -> Sweep:
-    """Checks every cell before any starts, and begins the MLflow run that is above those of the cells.
+    """Check every cell before any starts, and begin the MLflow run that is the parent of the cells' runs.
 
     Raises:
-        UserError: with what is wrong with each cell.
+        UserError: a cell is wrong; the message says what is wrong with each.
     """
     loader = GlobalHydra.instance().config_loader()
     parsed = OverridesParser.create(config_loader=loader).parse_overrides(overrides)
@@ -146,9 +144,9 @@ def _open(overrides: list[str]) -> Sweep:
     opened = Sweep(swept, configs[0], len(batch))
     console.headline("sweep", f"{len(batch)} cells over {', '.join(sorted(swept)) or 'nothing'}")
     if not opened.config.dry_run:
-        store = tracking.open_tracking(opened.config.tracking.uri, opened.config.tracking.experiment_name)
+        tracking = runs.open_tracking(opened.config.tracking.uri, opened.config.tracking.experiment_name)
         tags = {"stage": "sweep", "output_dir": opened.config.output_dir}
-        run = tracking.run(store, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
+        run = runs.run(tracking, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
         opened.parent_run_id = opened.cleanup.enter_context(run).run_id
     return opened
 

@@ -1,6 +1,6 @@
 """Makes a tool runnable: ``python -m pipeline.<tool> key=value ...``, without Hydra, Ray or MLflow, to start soon.
 
-Unlike a stage's overrides, a task is taken as it stands: ``task="laptop or wallet, then remote"`` needs no more quotes.
+Unlike a stage's overrides, a task is taken literally: ``task="laptop or wallet, then remote"`` needs no more quotes.
 A user's mistake ends in one message on stderr and exit code 2, an interrupt in 130, as with stages.
 """
 
@@ -15,17 +15,14 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
-from mrtask.errors import InputError
-from pipeline.base.config import UserError, explain_error, suggest
-
-CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
-USER_ERROR_EXIT, INTERRUPT_EXIT = 2, 130
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
+from pipeline.base.config import CONF_DIR, UserError, explain_error, suggest
 
 _Options = TypeVar("_Options", bound=BaseModel)
 
 
 def main(run: Callable[[Sequence[str]], None], help_text: str) -> None:
-    """Runs ``run(arguments)`` with what stands on the command line; ``--help`` prints ``help_text``."""
+    """Run ``run(arguments)`` with the command line's arguments; ``--help`` prints ``help_text``."""
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
     if {"--help", "-h"} & set(sys.argv[1:]):
@@ -34,14 +31,13 @@ def main(run: Callable[[Sequence[str]], None], help_text: str) -> None:
     try:
         run(sys.argv[1:])
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(USER_ERROR_EXIT)
+        sys.exit(refuse(error))
     except KeyboardInterrupt:
         sys.exit(INTERRUPT_EXIT)
 
 
 def overrides(arguments: Sequence[str], verbatim: Collection[str] = ()) -> dict[str, Any]:
-    """``key=value`` arguments as a dictionary; values are YAML, except those of the ``verbatim`` keys.
+    """Return ``key=value`` arguments as a dictionary; values are YAML, except those of the ``verbatim`` keys.
 
     Raises:
         UserError: an argument is no ``key=value``, or its value no YAML.
@@ -59,9 +55,9 @@ def overrides(arguments: Sequence[str], verbatim: Collection[str] = ()) -> dict[
 
 
 def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, Any]) -> _Options:
-    """The options of YAML files, each over those before it, and of the command line over all, checked.
+    """Return the checked options: each YAML file overrides those before it, and the command line overrides all.
 
-    Of files after the first, keys that the model does not have are left out: several tools read them.
+    Keys that the model does not have are ignored in all files but the first: several tools read them.
 
     Raises:
         UserError: every mistake, with what is allowed.
@@ -85,7 +81,7 @@ def load_options(model: type[_Options], files: Sequence[Path], given: dict[str, 
 
 
 def _explain(item: Any, model: type[BaseModel]) -> str:
-    if not item["loc"]:  # of several keys together: the message names them
+    if not item["loc"]:  # it concerns several keys, which the message names
         return str(item["msg"]).removeprefix("Value error, ")
     if item["type"] == "extra_forbidden" and len(item["loc"]) == 1:
         key = str(item["loc"][0])

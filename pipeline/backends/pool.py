@@ -1,10 +1,10 @@
-"""Fan-out of independent items over Ray; no other module imports it.
+"""Runs independent items on Ray's workers; no other module imports Ray.
 
-Items are bounded in flight, outcomes come as they finish, and an item whose worker or node died, or that raised, is
-given to another worker with the same arguments, so what comes out does not depend on luck. What decides (retries, time
-limits, order) is in the driver.
+The number of items in flight is bounded, outcomes come as they finish, and an item that raised, or whose worker or node
+died, goes to another worker with the same arguments, so results do not depend on luck. The driver makes all decisions
+(retries, time limits, order).
 
-A Ray task takes some milliseconds of CPU time whatever it does, so short items go out in batches that last `BATCH_S`.
+A Ray task costs some milliseconds of CPU time whatever it does, so short items go out in batches that last `BATCH_S`.
 """
 
 import os
@@ -13,32 +13,29 @@ import socket
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import FrameType, TracebackType
-from typing import Any, Generic, Literal, TypeVar
-
-os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+from typing import Any, Generic, Literal, TypeVar, cast
 
 import ray
 from ray.exceptions import RayError, RayTaskError
 
-from pipeline.base import interrupt
+from pipeline.base import console, interrupt
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
 
 OBJECT_STORE_BYTES = 512 * 2**20
-"""For the few megabytes that all tasks share; Ray's default takes 30 % of the memory."""
+"""Enough for the few megabytes that all tasks share; Ray would take 30 % of the memory."""
 IN_FLIGHT_PER_SLOT = 2
 """One runs, one waits: a worker never idles while the driver is busy."""
 BATCH_S = 0.5
-"""How long a batch of short items is to take: much longer than Ray needs for a task, much shorter than a run."""
+"""How long a batch of short items should take: much longer than Ray needs for a task, much shorter than a run."""
 LARGEST_BATCH = 100
 PACE_WEIGHT = 0.3
-"""Of the last batch in the moving average of how long an item takes."""
+"""The weight of the last batch in the moving average of the time for an item."""
 HEARTBEAT_S = 1.0
 HARD_LIMIT_GRACE_S = 60.0
 """A task that does not react to its time limit (a hang in compiled code) has its worker killed after this much more."""
@@ -60,7 +57,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Item, Value]):
-    """A finished item, and a value or a failure. ``attempt`` counts from 1."""
+    """A finished item with its value or its failure. ``attempt`` counts from 1."""
 
     item: Item
     attempt: int
@@ -83,7 +80,7 @@ class _Try(Generic[Item]):
 
 @dataclass(frozen=True)
 class _Batch(Generic[Item]):
-    """What one Ray task runs, one after the other."""
+    """The items that one Ray task runs, one after the other."""
 
     tries: list[_Try[Item]]
     submitted_s: float = field(default_factory=time.monotonic)
@@ -91,20 +88,20 @@ class _Batch(Generic[Item]):
 
 
 class _Pace:
-    """How many items make a batch, by how long they took so far."""
+    """Chooses how many items make a batch, by how long they took so far."""
 
     def __init__(self) -> None:
         self._mean_s: float | None = None
 
     def note(self, items: int, seconds: float) -> None:
-        """Takes note of a finished batch."""
+        """Note a finished batch."""
         each_s = seconds / items
         before_s = each_s if self._mean_s is None else self._mean_s
         self._mean_s = before_s + PACE_WEIGHT * (each_s - before_s)
 
     @property
     def items(self) -> int:
-        """For the next batch."""
+        """How many items the next batch has."""
         if self._mean_s is None:
             return 1
         return max(1, min(LARGEST_BATCH, int(BATCH_S / max(self._mean_s, BATCH_S / LARGEST_BATCH))))
@@ -112,6 +109,10 @@ class _Pace:
 
 class TaskTimeoutError(Exception):
     """Raised inside an item's run that has reached its time limit."""
+
+
+class ItemError(RuntimeError):
+    """An item failed whose value is needed."""
 
 
 class Pool:
@@ -133,7 +134,7 @@ class Pool:
             ray.shutdown()
 
     def start(self) -> None:
-        """Connects now, so that a cluster that cannot be used is reported before there is anything to undo."""
+        """Connect now, so that an unusable cluster is reported before there is anything to undo."""
         _ = self.slots
 
     @property
@@ -145,17 +146,17 @@ class Pool:
                 self._owns_ray = True
             there = _count_slots(self._cluster)
             self._slots = min(there, self._cluster.cpus or there)
-            # Where the cluster has more than this run may take, a batch that waits would run on what is not its own.
+            # Where the cluster has more slots than this run may use, a waiting batch would run on one of the others.
             self._alone = self._slots == there
         return self._slots
 
     def run(
         self, function: Callable[..., Value], items: Iterable[Item], *shared: Any, timeout_s: float | None = None
     ) -> Iterator[Outcome[Item, Value] | None]:
-        """Runs ``function(item, *shared)`` for each item and yields outcomes as they finish.
+        """Run ``function(item, *shared)`` for each item and yield outcomes as they finish.
 
-        About once a second without an outcome, None is yielded, so that the caller can do what is due. ``shared``
-        values are sent to each worker once. Leaving the loop early stops the items under way.
+        Yields None about once a second while no outcome comes, so that the caller can do other work. Each worker gets
+        the ``shared`` values once. Leaving the loop early stops the items under way.
         """
         most_in_flight = self.slots * (IN_FLIGHT_PER_SLOT if self._alone else 1)
         memory_bytes = int(self._cluster.memory_per_task_gb * 2**30)
@@ -183,19 +184,44 @@ class Pool:
                         else:
                             yield settled
         finally:
-            # A Ray of our own ends with the process, which it may abort where the answer of a task comes that was just
-            # cancelled (seen: exit code 1, "Tried to complete task that was not pending").
+            # Our own Ray ends with the process. It may abort when a task answers that was just cancelled (seen: exit
+            # code 1, "Tried to complete task that was not pending").
             if not (self._owns_ray and interrupt.requested()):
                 for reference in in_flight:
                     ray.cancel(reference, force=True)
 
+    def values(
+        self,
+        function: Callable[..., Value],
+        items: Sequence[Item],
+        *shared: Any,
+        unit: str,
+        named: Callable[[Item], object] = str,
+    ) -> Iterator[tuple[Item, Value]]:
+        """Run ``function(item, *shared)`` for each item and yield items with their values as they finish.
+
+        A progress bar counts them in ``unit``; ``named`` says in an error which item it was.
+
+        Raises:
+            ItemError: an item failed, after all its retries.
+        """
+        with console.Progress(len(items), unit) as progress:
+            for outcome in self.run(function, items, *shared):
+                if outcome is None:
+                    progress.update(0)
+                    continue
+                if outcome.failure is not None:
+                    raise ItemError(f"{unit}: {named(outcome.item)} failed: {outcome.failure.message}")
+                progress.update()
+                yield outcome.item, cast(Value, outcome.value)
+
     def _settle(self, batch: _Batch[Item], reference: Any, pace: _Pace) -> Iterator[Outcome[Item, Value] | _Try[Item]]:
-        """The outcomes of a batch, and what of it is to run again."""
+        """Yield the outcomes of a batch, and the items of it that must run again."""
         try:
             results, seconds = ray.get(reference)
             pace.note(len(results), seconds)
         except RayError as error:
-            if len(batch.tries) > 1:  # one of them is to blame: alone, it will show
+            if len(batch.tries) > 1:  # one of them is to blame; run alone, it shows itself
                 yield from (one.again() for one in batch.tries)
             else:
                 yield self._after_loss(batch, error)
@@ -207,9 +233,9 @@ class Pool:
                 yield Outcome(one.item, one.attempt, value, failure)
 
     def _after_loss(self, batch: _Batch[Item], error: RayError) -> Outcome[Item, Value] | _Try[Item]:
-        """What becomes of an item whose worker came back with nothing."""
+        """Return what becomes of an item whose worker returned nothing."""
         [one] = batch.tries
-        if isinstance(error, RayTaskError):  # what it gave could not be sent back
+        if isinstance(error, RayTaskError):  # its value could not be sent back
             if one.errors < EXCEPTION_RETRIES:
                 return one.again(errors=1)
             failure = Failure("error", str(error))
@@ -223,7 +249,7 @@ class Pool:
 
 
 def _next(again: deque[_Try[Item]], source: Iterator[Item], most: int) -> list[_Try[Item]]:
-    """The next batch; what runs again runs alone. Empty where nothing is left."""
+    """Return the next batch, empty when nothing is left; an item that runs again runs alone."""
     if again:
         return [again.popleft()]
     return [_Try(item) for item in islice(source, most)]
@@ -233,7 +259,7 @@ def _kill_hung(in_flight: dict[Any, _Batch[Item]], timeout_s: float | None) -> N
     if timeout_s is None:
         return
     for reference, batch in in_flight.items():
-        # It may have waited for the one before it on its worker.
+        # It may have waited for an earlier batch on its worker.
         limit_s = timeout_s * len(batch.tries) * IN_FLIGHT_PER_SLOT + HARD_LIMIT_GRACE_S
         if not batch.killed and time.monotonic() - batch.submitted_s > limit_s:
             in_flight[reference] = replace(batch, killed=True)
@@ -243,7 +269,7 @@ def _kill_hung(in_flight: dict[Any, _Batch[Item]], timeout_s: float | None) -> N
 def _call(
     function: Callable[..., Value], items: list[Any], references: list[Any], timeout_s: float | None
 ) -> tuple[list[tuple[Value | None, Failure | None]], float]:
-    """Runs in the worker; returns what became of each item, and the seconds all took."""
+    """Run a batch in the worker; return the outcome of each item, and the seconds that all took."""
     shared = [_fetch(reference) for reference in references]
     began_s = time.monotonic()
     results = [_try(function, item, shared, timeout_s) for item in items]
@@ -253,7 +279,7 @@ def _call(
 def _try(
     function: Callable[..., Value], item: Any, shared: list[Any], timeout_s: float | None
 ) -> tuple[Value | None, Failure | None]:
-    """One item. Exceptions come back as text: they may not survive pickling, and the driver needs no more."""
+    """Run one item. Exceptions come back as text: they may not survive pickling, and the driver needs no more."""
     try:
         with _time_limit(timeout_s):
             return function(item, *shared), None
@@ -267,7 +293,7 @@ _fetched: dict[str, Any] = {}
 
 
 def _fetch(reference: Any) -> Any:
-    """A shared value, unpickled once per worker and kept until another run's values take its place."""
+    """Return a shared value, unpickled once per worker and kept until another run's values replace it."""
     key = reference.hex()
     if key not in _fetched:
         while len(_fetched) > 8:
@@ -312,7 +338,7 @@ def _start(cluster: Cluster) -> None:
 
 
 def _check_reachable(address: str) -> None:
-    """Ray itself takes minutes to say that nobody answers."""
+    """Check quickly that somebody answers; Ray itself takes minutes to notice."""
     host, _, port = address.removeprefix("ray://").partition("/")[0].rpartition(":")
     try:
         socket.create_connection((host, int(port)), CONNECT_TIMEOUT_S).close()
@@ -321,7 +347,7 @@ def _check_reachable(address: str) -> None:
 
 
 def _count_slots(cluster: Cluster) -> int:
-    """How many items all nodes could run at once."""
+    """Return how many items all nodes could run at once."""
     need_bytes = cluster.memory_per_task_gb * 2**30
     resources = [node["Resources"] for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
     slots = sum(min(int(one.get("CPU", 0)), int(one.get("memory", 0) / need_bytes)) for one in resources)

@@ -1,14 +1,13 @@
 """The configuration's schema: every key, what it may be, and errors that say so.
 
 Hydra composes ``conf/`` and the command line; `load` turns the result into frozen models or refuses it before any work
-starts. Defaults live in ``conf/`` alone. What the sections hold is in `pipeline.base.sections` and
-`pipeline.base.studies`.
+starts. Only ``conf/`` holds defaults. The sections are in `pipeline.base.sections` and `pipeline.base.studies`.
 """
 
 import difflib
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -17,7 +16,9 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.planning.planners import PLANNERS, make_planner
+from mrtask.likelihood.choice import LikelihoodChoice
+from mrtask.planning.planners import PLANNERS
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -37,6 +38,9 @@ from pipeline.base.sections import (
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
 from pipeline.base.values import LocalPath, Location, Section, absolute
 
+CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
+"""The folder with the defaults of all keys."""
+
 
 class UserError(InputError):
     """A mistake in the configuration, or in what it points to."""
@@ -47,7 +51,7 @@ UNIONS = {"homes": HOME_SOURCES, "model": get_args(ModelKind)}
 
 
 class Config(Section):
-    """All of it, resolved and checked."""
+    """The whole configuration, resolved and checked."""
 
     experiment: str = Field(min_length=1)
     seed: int = Field(ge=0)
@@ -79,26 +83,21 @@ class Config(Section):
     cluster: Cluster
     tracking: Tracking
 
-    def planner_options(self, name: str) -> dict[str, Any]:
-        """The options of one planner or variant; those of a planner of your own stand under its class's name."""
-        if (variant := self.planner_variants.get(name)) is not None:
-            return self.planner_options(variant.planner) | variant.options
-        return self.planner.get(name.rsplit(".", 1)[-1], {})
+    def spec(self, name: str) -> PlannerSpec:
+        """Resolve a planner or a variant; the options of a planner of your own stand under its class's name."""
+        variant = self.planner_variants.get(name, PlannerVariant(planner=name))
+        options = self.planner.get(variant.planner.rsplit(".", 1)[-1], {}) | variant.options
+        likelihood = self.likelihood.model_dump() | variant.likelihood.model_dump(exclude_none=True)
+        return PlannerSpec(name, variant.planner, options, LikelihoodChoice(**likelihood))
 
-    def planner_behind(self, name: str) -> str:
-        """The planner that a variant is one of; a planner's own name where it is none."""
-        variant = self.planner_variants.get(name)
-        return name if variant is None else variant.planner
-
-    def likelihood_of(self, name: str) -> Likelihood:
-        """The likelihoods that a planner or variant is given."""
-        variant = self.planner_variants.get(name)
-        other = variant.likelihood.model_dump(exclude_none=True) if variant else {}
-        return self.likelihood.model_copy(update=other)
+    @property
+    def compared(self) -> tuple[PlannerSpec, ...]:
+        """The planners of the evaluation."""
+        return tuple(self.spec(name) for name in self.evaluation.planners)
 
 
 def load(composed: DictConfig) -> Config:
-    """The checked configuration; raises `UserError` with every mistake, what is allowed and what was given."""
+    """Return the checked configuration; raises `UserError` with every mistake, what is allowed and what was given."""
     try:
         missing = sorted(OmegaConf.missing_keys(composed))
         if missing:
@@ -114,21 +113,21 @@ def load(composed: DictConfig) -> Config:
     _check_planners(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
-            "belief.adapt=true: learns from what searches showed as from the truth, so it needs perception that does "
-            "not err; give belief.adapt=false or leave perception at its defaults"
+            "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
+            "give belief.adapt=false or leave perception at its defaults"
         )
     return config
 
 
 def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
-    """The configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
+    """Return the configuration with ``key=value`` changes; raises `UserError` where one of them is a mistake."""
     changed = OmegaConf.create(config.model_dump(mode="json"))
     changed.merge_with_dotlist(list(overrides))
     return load(changed)
 
 
 def _read_formula(plain: Any) -> None:
-    """Puts the text of ``evaluation.formula_file`` in the place of ``evaluation.formula``, and null in its own."""
+    """Move the text of ``evaluation.formula_file`` to ``evaluation.formula``."""
     options = plain["evaluation"]
     if (path := options.get("formula_file")) is None:
         return
@@ -145,20 +144,19 @@ def _check_planners(config: Config) -> None:
     for name in config.planner_variants:
         if name in PLANNERS:
             raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
-        _check_planner(f"planner_variants.{name}", config.planner_behind(name), config.planner_options(name))
-    for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", config.planner_behind(name), config.planner_options(name))
+        _check_planner(f"planner_variants.{name}", config.spec(name))
+    for spec in config.compared:
+        _check_planner("evaluation.planners", spec)
     for name in config.optimality.planners:
-        _check_planner("optimality.planners", config.planner_behind(name), config.planner_options(name))
-    behind = {config.planner_behind(name) for name in config.evaluation.planners}
-    own = {name.rsplit(".", 1)[-1] for name in behind if "." in name}
+        _check_planner("optimality.planners", config.spec(name))
+    own = {spec.planner.rsplit(".", 1)[-1] for spec in config.compared if "." in spec.planner}
     for name in config.planner.keys() - own:
-        _check_planner("planner", name, config.planner[name])
+        _check_planner("planner", PlannerSpec(name, name, config.planner[name]))
 
 
-def _check_planner(key: str, name: str, options: Mapping[str, Any]) -> None:
+def _check_planner(key: str, spec: PlannerSpec) -> None:
     try:
-        make_planner(name, options)
+        spec.make()
     except ValueError as error:
         raise UserError(f"{key}: {error}") from error
 
@@ -172,7 +170,7 @@ _BOUNDS = {
 
 
 def explain_error(item: Any) -> str:
-    """One pydantic error as ``key=value: what is allowed``."""
+    """Return a pydantic error as ``key=value: what is allowed``."""
     path = [str(part) for part in item["loc"]]
     if path[0] in UNIONS and len(path) > 1 and path[1] in UNIONS[path[0]]:
         del path[1]
@@ -208,17 +206,17 @@ def _suggest_keys(path: list[str]) -> str:
 
 
 def explain_unknown_key(key: str) -> str:
-    """What to say about a key that is nowhere in the configuration."""
+    """Return what to say about a key that the configuration does not have."""
     return f"{key}: no such key; {_suggest_keys(key.split('.'))}"
 
 
 def suggest(word: str, allowed: list[str]) -> str:
-    """A hint: the nearest allowed word, if one is near, and all of them."""
+    """Return a hint: the nearest allowed word, if one is near, and all allowed words."""
     near = difflib.get_close_matches(word, allowed, n=1)
     return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(allowed)}"
 
 
 def content_hash(content: object) -> str:
-    """16 hex digits of anything made of plain data."""
+    """Return 16 hex digits of anything made of plain data."""
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What a stage says: a headline, a few lines, one progress bar with time left, where the result is.
+"""Prints what a stage says: a headline, a few lines, one progress bar with the time left, where the result is.
 
 On a terminal the bar is drawn in place; elsewhere (a log file, CI) it becomes a plain line every few seconds.
 """
@@ -15,32 +15,38 @@ INDENT = "   "
 
 
 def headline(stage: str, text: str) -> None:
-    """Opens a stage."""
+    """Open a stage."""
     print(f"== {stage}: {text}", flush=True)
 
 
 def line(text: str) -> None:
-    """One line below the headline."""
+    """Print one line below the headline."""
     print(INDENT + text, flush=True)
 
 
+def text(lines: str) -> None:
+    """Print several lines below the headline."""
+    for one in lines.splitlines():
+        line(one)
+
+
 def result(path: object, seconds: float) -> None:
-    """Closes a stage: where its result is."""
+    """Close a stage: say where its result is."""
     line(f"-> {path} ({duration(seconds)})")
 
 
 def skipped(path: object) -> None:
-    """Closes a stage that had nothing to do."""
+    """Close a stage that had nothing to do."""
     line(f"-> {path} (unchanged, skipped)")
 
 
 def shown(path: Path) -> Path:
-    """A local path as a person in this folder would type it."""
+    """Return a local path as a person in this folder would type it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def duration(seconds: float) -> str:
-    """``850 ms``, ``12 s``, ``3 min 20 s``, ``2 h 05 min``."""
+    """Return ``850 ms``, ``12 s``, ``3 min 20 s``, ``2 h 05 min``."""
     if seconds < 1:
         return f"{seconds * 1000:.0f} ms"
     whole = round(seconds)
@@ -52,7 +58,7 @@ def duration(seconds: float) -> str:
 
 
 class Progress:
-    """One bar (or a plain line now and then) for ``total`` things, of which ``done`` were there before."""
+    """One bar (or a plain line now and then) for ``total`` things, ``done`` of which existed before."""
 
     def __init__(self, total: int, unit: str, done: int = 0) -> None:
         self._total, self._unit, self._done = total, unit, done
@@ -69,7 +75,7 @@ class Progress:
             )
 
     def update(self, count: int = 1, note: str = "") -> None:
-        """``count`` more are done; ``note`` stands at the end of the line."""
+        """Count ``count`` more as done; ``note`` ends the line."""
         self._done += count
         self._note = note or self._note
         self._first = self._first or (self._done, time.monotonic())
@@ -84,7 +90,7 @@ class Progress:
         return ", ".join(filter(None, (f"{self._done}/{self._total} {self._unit}", self._pace(), self._note)))
 
     def _pace(self) -> str:
-        """The rate since the first result, before which workers start and compile; nothing before the second."""
+        """Return the rate since the first result, before which workers start and compile; nothing before the second."""
         assert self._first is not None
         first_done, first_s = self._first
         rate = (self._done - first_done) / max(time.monotonic() - first_s, 1e-9)

@@ -1,7 +1,7 @@
-"""Ctrl-C that is not lost: Python drops a `KeyboardInterrupt` raised inside a finalizer or a weak reference's callback.
+"""Keeps Ctrl-C from being lost: Python drops a `KeyboardInterrupt` in a finalizer or a weak reference's callback.
 
-The handler raises as usual and also remembers; long loops call `check`, so that a dropped interrupt stops them still.
-While a stage's libraries are imported, which takes seconds, an interrupt just ends the process.
+The handler raises as usual and also remembers; long loops call `check`, so that a dropped interrupt stops them too.
+While a stage imports its libraries, which takes seconds, an interrupt just ends the process.
 """
 
 import os
@@ -11,20 +11,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPT_EXIT = 130
+from mrtask.errors import INTERRUPT_EXIT
+
 MESSAGE = "\ninterrupted; the same command continues from here"
 
 _requested = False
 
 
 def ends_imports() -> None:
-    """From now on an interrupt ends the process with one line; nothing is under way yet that needs tidying up."""
+    """Let an interrupt end the process with one line from now on; nothing needs tidying up yet."""
     signal.signal(signal.SIGINT, _leave)
 
 
 @contextmanager
 def remembered() -> Iterator[None]:
-    """Within, an interrupt is remembered for `check`."""
+    """Remember an interrupt for `check` while the context runs."""
     global _requested
     _requested = False
     before = signal.signal(signal.SIGINT, _handle)
@@ -35,13 +36,13 @@ def remembered() -> Iterator[None]:
 
 
 def check() -> None:
-    """Raises `KeyboardInterrupt` if there was one."""
+    """Raise `KeyboardInterrupt` if there was an interrupt."""
     if requested():
         raise KeyboardInterrupt
 
 
 def requested() -> bool:
-    """Whether there was one."""
+    """Tell whether there was an interrupt."""
     return _requested
 
 

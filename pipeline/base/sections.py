@@ -1,8 +1,9 @@
-"""The configuration's sections that say what is run: homes, maps, models, planners, trials, and where it all runs.
+"""The configuration's sections for a run: homes, maps, models, planners, trials, and where it all runs.
 
 The schema as a whole is `pipeline.base.config`.
 """
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -10,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from mrtask.execution import perception
 from mrtask.tasks.templates import TEMPLATES
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed
 
 SizeClass = Literal["small", "medium", "large"]
@@ -31,7 +33,7 @@ class GeneratedHomes(_Homes):
 
     @property
     def total(self) -> int:
-        """How many homes are generated."""
+        """How many homes the generator makes."""
         return self.train + self.validation + self.test
 
 
@@ -71,7 +73,7 @@ class RosMapHomes(_Homes):
         return self
 
     def to_learn_from(self) -> GeneratedHomes:
-        """The generated homes that the model learns from."""
+        """Return the generated homes that the model learns from."""
         shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
         return GeneratedHomes(source="generated", **shared)
 
@@ -106,7 +108,7 @@ ModelKind = Literal["similarity", "paper_fcnn", "mlp", "logistic", "frequency"]
 
 
 class Similarity(Section):
-    """Counts of the training homes, shared among similar names."""
+    """The counts of the training homes, shared among similar names."""
 
     kind: Literal["similarity"]
     embedding: str = Field(min_length=1)
@@ -156,7 +158,7 @@ class Trainer(Section):
 
 
 class EvaluationHomes(Section):
-    """Homes to evaluate on instead of the test homes; empty for those."""
+    """Homes to evaluate on instead of the test homes; without files, the test homes."""
 
     files: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), AfterValidator(distinct)]
     assets: LocalPath | None
@@ -165,7 +167,7 @@ class EvaluationHomes(Section):
 
 
 class Belief(Section):
-    """Whether what searches showed in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
+    """Whether what searches show in a home corrects the likelihoods there, see `mrtask.likelihood.adapt`."""
 
     adapt: bool
     kind_sd: float = Field(ge=0)
@@ -178,7 +180,7 @@ _Spread = Annotated[float, Field(ge=0)]
 
 
 class Likelihood(Section):
-    """Which likelihoods planners are given, and how wrong on purpose, see `mrtask.likelihood.given`."""
+    """Which likelihoods planners plan with, and how wrong on purpose, see `mrtask.likelihood.choice`."""
 
     source: _Source
     uniform_mix: Share
@@ -197,17 +199,17 @@ class Rates(Section):
         return self
 
     def rates(self) -> perception.Rates:
-        """The same for the library; raises ValueError where a detection would say nothing."""
+        """Return the same for the library; raises ValueError where a detection would say nothing."""
         return perception.Rates(self.true_positive_prob, self.false_positive_prob)
 
 
 class Perception(Rates):
-    """How well robots see, and the types of objects that they see otherwise."""
+    """How well robots see, and the types of objects with rates of their own."""
 
     objects: dict[str, Rates]
 
     def perception(self) -> perception.Perception:
-        """The same for the library."""
+        """Return the same for the library."""
         return perception.Perception(self.rates(), {name: one.rates() for name, one in self.objects.items()})
 
 
@@ -259,7 +261,7 @@ class Evaluation(Section):
 
 
 class OtherLikelihood(Section):
-    """What a planner variant is given that other planners are not; null: the same."""
+    """The likelihoods that a planner variant plans with; null: as configured for all planners."""
 
     source: _Source | None = None
     uniform_mix: Share | None = None
@@ -273,9 +275,15 @@ class PlannerVariant(Section):
     options: dict[str, Any] = Field(default_factory=dict)
     likelihood: OtherLikelihood = OtherLikelihood()
 
+    @classmethod
+    def of(cls, spec: PlannerSpec) -> Self:
+        """Return the variant that resolves to a spec."""
+        likelihood = OtherLikelihood(**asdict(spec.likelihood))
+        return cls(planner=spec.planner, options=dict(spec.options), likelihood=likelihood)
+
 
 class Cluster(Section):
-    """Where Ray runs and how much of it a run may take."""
+    """Where Ray runs, and how much of it a run may use."""
 
     address: str = Field(pattern=r"^(local|auto|ray://.+|[^:/]+:\d+)$")
     cpus: Positive | None

@@ -1,4 +1,4 @@
-"""The configuration's sections for comparisons and for pages of their own: what each stage of that kind looks at.
+"""The configuration's sections for the stages that compare, measure or show something, each on a page or in a table.
 
 The schema as a whole is `pipeline.base.config`.
 """
@@ -22,7 +22,7 @@ TrainedOn = Literal["human", "homes", "both"]
 
 
 class Housekeep(Section):
-    """Which models are measured on the votes of people, and what each is trained on."""
+    """Which models are measured on people's votes, and what each is trained on."""
 
     models: Annotated[tuple[ModelKind, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
     trained_on: Annotated[tuple[TrainedOn, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
@@ -45,7 +45,7 @@ class Ablation(Section):
 
 
 class Factor(Section):
-    """A key of the configuration and the values that it takes, one at a time."""
+    """A key of the configuration and its values, one at a time."""
 
     name: str = Field(min_length=1)
     key: str = Field(min_length=1)
@@ -76,7 +76,7 @@ class Priors(Section):
 
 
 class Optimality(Section):
-    """How far planners are from optimal: on how many trials and worlds it is measured."""
+    """How far planners are from optimal: for which planners, on how many trials and worlds."""
 
     planners: Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1), AfterValidator(distinct)]
     trials_per_cell: Positive
@@ -84,7 +84,7 @@ class Optimality(Section):
 
 
 class Replay(Section):
-    """Which trial is shown, and whose episodes."""
+    """Which trial to show, and by which planners."""
 
     trial_id: str | None
     planners: Annotated[tuple[str, ...], BeforeValidator(listed), AfterValidator(distinct)]

@@ -1,4 +1,4 @@
-"""What a key of the configuration may be: the kinds of values that its sections share.
+"""The kinds of values that the sections of the configuration share.
 
 Relative paths are relative to the caller's folder.
 """
@@ -13,7 +13,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 def absolute(path: Path) -> Path:
-    """A path of this machine, from its root."""
+    """Return a local path from the root."""
     return Path(path).expanduser().absolute()
 
 
@@ -22,12 +22,12 @@ def _absolute_unless_url(location: str) -> str:
 
 
 def listed(value: object) -> object:
-    """One text or number as a list of one, as typed on the command line."""
+    """Return one text or number, as typed on the command line, as a list."""
     return [value] if isinstance(value, str | int) else value
 
 
 def distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The values; raises ValueError where one is given twice."""
+    """Return the values; raises ValueError where one is given twice."""
     if len(set(values)) != len(values):
         raise ValueError(f"each may be given once, got {', '.join(map(str, values))}")
     return values
@@ -39,6 +39,6 @@ Location = Annotated[str, Field(min_length=1), AfterValidator(_absolute_unless_u
 
 
 class Section(BaseModel):
-    """Keys that belong together; others are refused."""
+    """Keys that belong together; unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())

@@ -1,1 +1,1 @@
-"""One evaluation: its plan, a pilot of it, its episodes over all workers and in one, and the running tally."""
+"""One evaluation: its plan, a pilot, its episodes on all workers and in one worker, and the running tally."""

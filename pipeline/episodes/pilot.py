@@ -1,8 +1,9 @@
-"""How long an evaluation would take, from some of its episodes."""
+"""Estimates how long an evaluation would take, from some of its episodes."""
 
 import statistics
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 
 from pipeline.backends.pool import Pool
 from pipeline.base import console
@@ -13,22 +14,22 @@ from pipeline.episodes.worker import run_one
 PILOT_S = 20.0
 
 
-def pilot(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> None:
-    """Times some episodes and says how long all of them would take."""
+def pilot(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> Iterator[str]:
+    """Time some episodes and say how long all of them would take, a line for each planner and one for the whole."""
     spent_s = _spent_s(plan, pool, episode_timeout_s)
     episodes = len(plan.keys) // len(plan.planners)
     total_s = 0.0
     for planner, pairs in spent_s.items():
         planning_s, other_s = zip(*pairs, strict=True)
-        # The first to come to a home map it, which is no part of what most episodes take: hence the median.
+        # Only the first episode in a home maps it, which most episodes need not do: hence the median.
         mean_s = statistics.fmean(planning_s) + statistics.median(other_s)
         total_s += mean_s * episodes / pool.slots
-        console.line(f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}")
-    console.line(f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)")
+        yield f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}"
+    yield f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)"
 
 
 def _spent_s(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> dict[str, list[tuple[float, float]]]:
-    """Planner -> seconds of planning and of all else in each of its episodes, of `PILOT_S` of episodes or more."""
+    """Return, by planner, the seconds of planning and of everything else in each episode of at least `PILOT_S`."""
     warm_kernels(plan.context, plan.keys)
     spent_s: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
     end_s = time.monotonic() + PILOT_S

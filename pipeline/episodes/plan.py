@@ -1,8 +1,8 @@
-"""What an evaluation consists of: its episodes, what they share, and the identity that its rows carry."""
+"""Plans an evaluation: its episodes, what they share, and the identity that its rows carry."""
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,33 +10,33 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.given import GivenOptions
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
 from mrtask.tasks.words import read_task
-from pipeline.backends.tracking import RegisteredModel
+from pipeline.backends.registry import RegisteredModel
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash
 from pipeline.base.sections import Evaluation, EvaluationHomes, OtherLikelihood, PlannerVariant
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, formula_objects
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, formula_objects
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
+from pipeline.store.maps import MapOptions
 from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
 from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
 
 RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
-"""The library packages whose code decides what an episode's row says."""
+"""The library packages whose code decides an episode's row."""
 WHICH_ROWS = {"planners", "size_classes", "robots", "trials_per_cell"}
-"""Keys of ``evaluation`` that decide which rows there are, and nothing of what any of them says."""
+"""Keys of ``evaluation`` that decide which rows exist, but not what any of them says."""
 WITHOUT_EFFECT = {"homes", "formula_file", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}
-"""Keys of ``evaluation`` that do not change what a row says, or are recorded by what they led to."""
+"""Keys of ``evaluation`` that do not change a row, or whose effect is recorded elsewhere."""
 
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """The episodes, all that they share, and where their homes came from."""
+    """The episodes, what they share, and where their homes come from."""
 
     keys: tuple[EpisodeKey, ...]
     context: Context
@@ -44,21 +44,21 @@ class EvaluationPlan:
     homes: EvaluatedHomes
     experiment: str
     contents_are_drawn: bool
-    """Whether the homes' contents were drawn from the catalogue; then their true likelihoods are known."""
+    """Whether the homes' contents were drawn from the catalogue, so that their true likelihoods are known."""
     config: Mapping[str, Any]
-    """The whole configuration as plain data, to be recorded."""
+    """The whole configuration as plain data, for the record."""
 
     @property
     def planners(self) -> tuple[str, ...]:
-        """The planners that are compared."""
-        return tuple(self.context.planner_options)
+        """The names of the planners that are compared."""
+        return tuple(self.context.planners)
 
     def missing(self, finished: Collection[Key]) -> list[EpisodeKey]:
-        """The episodes that are not finished yet."""
+        """Return the episodes that are not finished yet."""
         return [key for key in self.keys if (key.trial_id, key.planner) not in finished]
 
     def chains(self, missing: Collection[EpisodeKey]) -> list[tuple[EpisodeKey, ...]]:
-        """What is run in one go: an episode, or where beliefs adapt all tasks of a home of which one is missing."""
+        """Return what runs in one go: one episode, or where beliefs adapt, all tasks of a home that lacks any."""
         if self.context.adapt is None:
             return [(key,) for key in missing]
         tasks, chains = self.context.trials.tasks_per_home, defaultdict[EpisodeKey, list[EpisodeKey]](list)
@@ -69,7 +69,7 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuses what can be refused before any work: the formula or the task and the files."""
+    """Refuse, before any work, a wrong formula or task and files that do not exist."""
     if options.formula is not None:
         formula_objects(options.formula)
     if options.task is not None:
@@ -79,7 +79,7 @@ def check(options: Evaluation) -> None:
 
 
 def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -> EvaluationPlan:
-    """The configured evaluation on homes that the model has not seen.
+    """Return the configured evaluation on homes that the model has not seen.
 
     Raises:
         UserError: a size class has no home.
@@ -89,15 +89,15 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
     size_classes = _size_classes(options.size_classes, homes)
     identity = _identity(config, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
-    given = {name: GivenOptions(**config.likelihood_of(name).model_dump()) for name in options.planners}
+    planners = config.compared
     drawn = config.homes.source == "generated" and config.homes.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
-    if any(one.source == "truth" for one in given.values()):
+    if any(spec.likelihood.source == "truth" for spec in planners):
         truth = catalogue_truth() if drawn else counted_truth(unseen)
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions(config.map.resolution_m, config.map.robot_radius_m, config.cache_dir, config.map.ways),
+        maps=MapOptions.of(config.map, config.cache_dir),
         seed=config.seed,
         trials=TrialOptions(
             templates=options.templates,
@@ -113,14 +113,12 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
             unsearched_share=options.unsearched_share,
             cost=options.cost,
         ),
-        planner_options={name: config.planner_options(name) for name in options.planners},
-        planners_behind={name: config.planner_behind(name) for name in options.planners},
+        planners={spec.name: spec for spec in planners},
         truth=build_table(truth, unseen, objects) if truth is not None else None,
-        given=given,
         home_order=options.homes.order,
         adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
         provenance=Provenance(
-            model.version, {name: identity.config_hash(name) for name in options.planners}, code_version()
+            model.version, {spec.name: identity.config_hash(spec.name) for spec in planners}, code_version()
         ),
     )
     return EvaluationPlan(
@@ -135,7 +133,7 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
 
 
 def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
-    """The formula that is asked for, in its own terms or in words about these homes, and its objects; or none."""
+    """Return the configured formula, or that of the task in words about these homes, and its objects; or None."""
     if options.task is not None:
         names = {name for home in homes for container in home.containers for name in container.objects}
         read = read_task(options.task, names, ())
@@ -144,7 +142,7 @@ def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tup
 
 
 def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
-    """All episodes; cells take turns, so that what is done at any time is a fair sample of the whole."""
+    """Return all episodes; cells take turns, so that what is finished at any time is a fair sample of the whole."""
     return tuple(
         EpisodeKey(size_class, robots, number, planner)
         for number in range(options.trials_per_cell)
@@ -155,17 +153,17 @@ def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[Epis
 
 
 def _unseen_homes(
-    given: EvaluationHomes, set_source: str, home_set: HomeSet, model: RegisteredModel
+    options: EvaluationHomes, set_source: str, home_set: HomeSet, model: RegisteredModel
 ) -> tuple[tuple[Home, ...], EvaluatedHomes]:
-    """The homes to evaluate on without those that the model was trained on, and where they are from."""
-    read_from, found = home_set.evaluation_homes(given)
-    if given.files:
+    """Return the homes that the model was not trained on, and where they come from."""
+    read_from, found = home_set.evaluation_homes(options)
+    if options.files:
         say_faults(read_from)
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
         console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
     return unseen, EvaluatedHomes(
-        source="procthor" if given.files else set_source,
+        source="procthor" if options.files else set_source,
         files=read_from.paths,
         read_from=read_from,
         skipped=len(read_from.faults()),
@@ -176,7 +174,7 @@ def _unseen_homes(
 
 
 def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...]:
-    """The size classes that are asked for; of a map, which has the size that it has, those that there are."""
+    """Return the configured size classes; for maps, whose size is given, only those that exist."""
     counts = homes.by_size_class
     empty = [name for name in asked if not counts[name]]
     size_classes = tuple(name for name in asked if counts[name])
@@ -209,12 +207,9 @@ def _identity(
             "perception": config.perception.model_dump(),
         },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
-        planner={name: config.planner_options(name) for name in options.planners},
-        behind={name: config.planner_behind(name) for name in options.planners},
-        likelihood={
-            name: config.planner_variants[name].likelihood.model_dump() if name in config.planner_variants else {}
-            for name in options.planners
-        },
+        planner={spec.name: spec.options for spec in config.compared},
+        behind={spec.name: spec.planner for spec in config.compared},
+        likelihood={spec.name: asdict(spec.likelihood) for spec in config.compared},
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
         asked=(Asked(since=datetime.now(UTC).isoformat(timespec="seconds"), **asked),),
@@ -222,7 +217,7 @@ def _identity(
 
 
 def covering(config: Config, identity: RunIdentity) -> Config:
-    """The configuration of a whole run, from that of one of the commands that it grew by."""
+    """Return the configuration of a whole run, from that of one of the commands that extended it."""
     own = {name: dict(one) for name, one in identity.planner.items() if identity.behind[name] == name}
     variants = {
         name: PlannerVariant(

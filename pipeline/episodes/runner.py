@@ -1,4 +1,4 @@
-"""The homes' maps and the episodes of an evaluation, over all workers."""
+"""Maps the homes and runs the episodes of an evaluation, on all workers."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,19 +17,13 @@ from pipeline.store.rows import EpisodeWriter
 
 
 def map_homes(context: Context, pool: Pool) -> Reach:
-    """Maps all homes into the cache; returns how many containers there are and how many can be reached."""
+    """Map all homes into the cache; return how many containers they have and how many can be reached."""
     # Compiled once here, so that the workers find the kernels in numba's cache.
     context.maps.map_of(context.homes[0])
     containers = reachable = 0
-    with console.Progress(len(context.homes), "homes mapped") as progress:
-        for outcome in pool.run(map_home, range(len(context.homes)), context):
-            if outcome is None:
-                continue
-            if outcome.value is None:
-                raise RuntimeError(f"home {context.homes[outcome.item].id} could not be mapped: {outcome.failure}")
-            containers += outcome.value.containers
-            reachable += outcome.value.reachable
-            progress.update()
+    for _, mapped in pool.values(map_home, range(len(context.homes)), context, unit="homes mapped"):
+        containers += mapped.containers
+        reachable += mapped.reachable
     reach = Reach(containers=containers, reachable=reachable)
     console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
     return reach
@@ -38,7 +32,7 @@ def map_homes(context: Context, pool: Pool) -> Reach:
 def run_episodes(
     plan: EvaluationPlan, missing: Sequence[EpisodeKey], options: Evaluation, pool: Pool, writer: EpisodeWriter
 ) -> None:
-    """Runs what is missing and closes the writer, also when it is interrupted: what is finished stays.
+    """Run the missing episodes and close the writer, also on an interrupt: finished episodes stay.
 
     Raises:
         UserError: too many episodes fail.
@@ -56,7 +50,7 @@ def run_episodes(
                     progress.update(0)
                     continue
                 for row in rows_of(outcome, plan.context):
-                    if (row.trial_id, row.planner) in wanted:  # others were there, and were run to be learned from
+                    if (row.trial_id, row.planner) in wanted:  # others had a row and ran again only to be learned from
                         writer.add(row)
                         tally.add(row)
                         progress.update(note=tally.note())
@@ -67,7 +61,7 @@ def run_episodes(
 def rows_of(
     outcome: Outcome[tuple[EpisodeKey, ...], tuple[EpisodeRow, ...]], context: Context
 ) -> tuple[EpisodeRow, ...]:
-    """The rows of a chain's episodes, whatever became of them; one that breaks off takes its whole chain along."""
+    """Return the rows of a chain's episodes, however they ended; one that breaks off ends its whole chain."""
     if outcome.value is not None:
         rows = outcome.value
     elif outcome.failure is not None:
@@ -79,13 +73,13 @@ def rows_of(
 
 
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
-    """Compiles the planners' kernels, once for all workers. A user's own planner runs in workers only."""
+    """Compile the planners' kernels, once for all workers. A user's own planner runs in workers only."""
     firsts = {key.planner: key for key in reversed(missing)}
-    with compiled_meanwhile({name: context.planner(name) for name in firsts}):
+    with compiled_meanwhile(context.planners[name] for name in firsts):
         pass
     for name, key in firsts.items():
-        if context.planner(name)[0] in PLANNERS:
+        if context.planners[name].planner in PLANNERS:
             try:
                 warm(key, context)
-            except Exception as error:  # the run goes on: its episodes will be rows of status error
+            except Exception as error:  # the run continues: these episodes become rows of status error
                 console.line(f"{name} failed on {key.trial_id} already in the driver: {error}")

@@ -1,7 +1,7 @@
 """What workers do for `pipeline.optimality` and `pipeline.priors`.
 
-Apart from `pipeline.episodes.worker`, since these need libraries that an evaluation's workers do without: seconds of
-their start and memory of each.
+This is not part of `pipeline.episodes.worker`, because it needs libraries that an evaluation's workers do without; they
+would cost seconds at the start and memory in each worker.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,13 @@ from numpy.typing import NDArray
 from mrtask.analysis.studies.calibration import Task, beliefs_of
 from mrtask.bounds.assess import assess
 from mrtask.likelihood.adapt import Sighting
-from mrtask.planning.planners import make_planner
-from pipeline.episodes.worker import Context, EpisodeKey, bench_of, likelihood_given
+from pipeline.episodes.worker import Context, EpisodeKey, bench_of, planning_likelihood, setting
 
 
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
-    """How far a planner is from optimal in a trial: the row of `mrtask.bounds.assess`."""
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home = bench.homes[trial.home_id]
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    name, options = context.planner(key.planner)
-    return assess(trial, home, bench.map_of(trial.home_id), likelihood, make_planner(name, options), worlds, name)
+    """Return how far a planner is from optimal in a trial, as the row of `mrtask.bounds.assess`."""
+    spec = context.planners[key.planner]
+    return assess(*setting(key, context), spec.make(), worlds, spec.planner)
 
 
 @dataclass(frozen=True)
@@ -39,10 +34,10 @@ class HomeTasks:
 
 
 def beliefs_in_home(done: HomeTasks, context: Context) -> pd.DataFrame:
-    """What the team believed at the beginning of each task, see `mrtask.analysis.studies.calibration.beliefs_of`."""
-    home = bench_of(context).homes[done.home_id]
+    """Return what the team believed when each task began, see `mrtask.analysis.studies.calibration.beliefs_of`."""
+    home, spec = bench_of(context).homes[done.home_id], context.planners[done.planner]
 
     def believe(task: Task, number: int, seen: Sequence[Sighting]) -> NDArray[np.float64]:
-        return likelihood_given(home, task.objects, task.seed, done.planner, context, number, seen)
+        return planning_likelihood(home, task.objects, task.seed, spec, context, number, seen)
 
     return beliefs_of(home, done.tasks, believe)

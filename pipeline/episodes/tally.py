@@ -1,4 +1,4 @@
-"""What the progress line says about the episodes so far, and when too many of them fail."""
+"""Keeps count of the episodes so far for the progress line, and notices when too many of them fail."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from pipeline.store.episode_row import EpisodeRow
 BASELINE = planners_with_role(Role.BASELINE)[0]
 PLANNER = planners_with_role(Role.OURS)[0]
 MIN_EPISODES_TO_JUDGE = 20
-"""The share of failures is looked at from here on."""
+"""From this many episodes on, the share of failures counts."""
 
 
 class Tally:
-    """Failures, and how much faster the main planner is than the baseline, on the trials that both have finished."""
+    """The failures, and how much the main planner saves against the baseline on trials that both have finished."""
 
     def __init__(self, planners: Sequence[str], max_failed_fraction: float) -> None:
         self._pair = (BASELINE, PLANNER) if {BASELINE, PLANNER} <= set(planners) else (planners[0], planners[-1])
@@ -24,7 +24,7 @@ class Tally:
         self._episodes = self._failed = 0
 
     def add(self, row: EpisodeRow) -> None:
-        """Counts a row.
+        """Count a row.
 
         Raises:
             UserError: more episodes than allowed ended with an exception or a timeout.
@@ -45,7 +45,7 @@ class Tally:
                     self._sums_s[name] += cost_s
 
     def note(self) -> str:
-        """``pouct 31% better than nonlearned_myopic, 2 failed``."""
+        """Return the note: ``pouct 31% better than nonlearned_myopic, 2 failed``."""
         baseline, planner = self._pair
         parts = []
         if baseline != planner and self._sums_s[baseline] > 0:

@@ -1,16 +1,13 @@
-"""One episode as a worker runs it: from its key and what all episodes share to one row of the results.
+"""Runs one episode in a worker: from its key and what all episodes share to one row of the results.
 
-A worker keeps what it has read or computed (homes by class, the last maps and trials), so that the planners of a trial
-find it ready.
+A worker keeps what it has read or computed (homes by class, the last maps and trials) for the trial's other planners.
 """
 
 import resource
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +16,13 @@ from mrtask.execution.episode import Observer, run_episode, warm_up
 from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
-from mrtask.likelihood.given import GivenOptions, given_likelihood
+from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
-from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.planners import make_planner
 from mrtask.tasks.automaton import build_automaton
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
+from pipeline.store.maps import MapOptions
 
 MAPS_KEPT = 8
 TRIALS_KEPT = 64
@@ -33,7 +30,7 @@ TRIALS_KEPT = 64
 
 @dataclass(frozen=True)
 class EpisodeKey:
-    """Which episode: the trial's cell and number, and the planner. Nothing else decides what happens in it."""
+    """Which episode: the trial's cell and number, and the planner's name. Nothing else decides what happens in it."""
 
     size_class: str
     robots: int
@@ -44,20 +41,6 @@ class EpisodeKey:
     def trial_id(self) -> str:
         """The trial's key, shared by all planners."""
         return trial_id(self.size_class, self.robots, self.number)
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """How homes are mapped, and where maps are kept on each machine."""
-
-    resolution_m: float
-    robot_radius_m: float
-    cache_dir: Path
-    ways: str = "shortest"
-
-    def map_of(self, home: Home) -> HomeMap:
-        """The home's map, from the cache where it is there."""
-        return cached_map(home, self.cache_dir / "maps", self.resolution_m, self.robot_radius_m, self.ways)
 
 
 @dataclass(frozen=True)
@@ -79,26 +62,19 @@ class Context:
     maps: MapOptions
     seed: int
     trials: TrialOptions
-    planner_options: Mapping[str, Mapping[str, Any]]
+    planners: Mapping[str, PlannerSpec]
+    """By name."""
     provenance: Provenance
-    planners_behind: Mapping[str, str] = field(default_factory=dict)
-    """The planner that each name stands for; a name that is not here stands for itself."""
     truth: LikelihoodTable | None = None
-    """The true likelihoods, where a planner is given them."""
-    given: Mapping[str, GivenOptions] = field(default_factory=dict)
-    """Which likelihoods each planner is given; one that is not here, the model's."""
+    """The true likelihoods, where a planner plans with them."""
     home_order: str = "shuffled"
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
 
-    def planner(self, name: str) -> tuple[str, Mapping[str, Any]]:
-        """The planner behind a name, and its options."""
-        return self.planners_behind.get(name, name), self.planner_options.get(name, {})
-
 
 @dataclass(frozen=True)
 class MappedHome:
-    """What mapping a home has shown."""
+    """What a home's map shows."""
 
     home_id: str
     size_class: str
@@ -107,7 +83,7 @@ class MappedHome:
 
 
 def map_home(number: int, context: Context) -> MappedHome:
-    """Maps a home into the cache."""
+    """Map the home of this number into the cache."""
     home = context.homes[number]
     reachable = context.maps.map_of(home).reachable
     return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
@@ -116,9 +92,9 @@ def map_home(number: int, context: Context) -> MappedHome:
 def run_chain(
     keys: tuple[EpisodeKey, ...], context: Context, observe: Observer | None = None
 ) -> tuple[EpisodeRow, ...]:
-    """The rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from those before.
+    """Return the rows of a planner's episodes in one home, in order; where beliefs adapt, each learns from the earlier.
 
-    ``observe`` is called at each decision of the last.
+    ``observe`` is called at each decision of the last one.
     """
     seen: list[Sighting] = []
     rows = []
@@ -130,22 +106,18 @@ def run_chain(
 
 
 def run_one(key: EpisodeKey, context: Context) -> EpisodeRow:
-    """The row of an episode that came to an end, accepted or failed, of a team that knows nothing of the home yet."""
+    """Return the row of a finished episode, accepted or failed, of a team that knows nothing of the home yet."""
     return _run(key, 0, (), context)[0]
 
 
 def _run(
     key: EpisodeKey, task: int, seen: Sequence[Sighting], context: Context, observe: Observer | None = None
 ) -> tuple[EpisodeRow, tuple[Sighting, ...]]:
-    """An episode's row and what it showed, after what earlier tasks in its home showed."""
+    """Return an episode's row and what it showed, given what earlier tasks in the home showed."""
     began_s = time.perf_counter()
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home = bench.homes[trial.home_id]
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context, task, seen)
-    home_map = bench.map_of(trial.home_id)
-    name, options = context.planner(key.planner)
-    result = run_episode(trial, home, home_map, likelihood, make_planner(name, options), name, observe=observe)
+    spec = context.planners[key.planner]
+    trial, home, home_map, likelihood = setting(key, context, task, seen)
+    result = run_episode(trial, home, home_map, likelihood, spec.make(), spec.planner, observe=observe)
     start_x_m, start_y_m = result.trace.start
     row = replace(
         unfinished_row(key, context, result.status, result.error),
@@ -169,39 +141,48 @@ def _run(
     return row, sightings_of(home, task, result.searched, trial.objects)
 
 
-def likelihood_given(
+def setting(
+    key: EpisodeKey, context: Context, task: int = 0, seen: Sequence[Sighting] = ()
+) -> tuple[Trial, Home, HomeMap, NDArray[np.float64]]:
+    """Return what an episode runs on: the trial, its home and map, and the planner's likelihoods."""
+    bench = bench_of(context)
+    trial = bench.trial(key.size_class, key.robots, key.number)
+    home = bench.homes[trial.home_id]
+    likelihood = planning_likelihood(
+        home, trial.objects, trial.seed, context.planners[key.planner], context, task, seen
+    )
+    return trial, home, bench.map_of(trial.home_id), likelihood
+
+
+def planning_likelihood(
     home: Home,
     objects: Sequence[str],
     seed: int,
-    planner: str,
+    spec: PlannerSpec,
     context: Context,
     task: int = 0,
     seen: Sequence[Sighting] = (),
 ) -> NDArray[np.float64]:
-    """``P(object in container)``, ``[C, O]``, as a planner is given it: corrected by what was seen if beliefs adapt."""
-    options = context.given.get(planner, GivenOptions())
-    table = context.table if options.source == "model" else context.truth
+    """Return the planner's ``P(object in container)``, ``[C, O]``; where beliefs adapt, ``seen`` corrects it."""
+    table = context.table if spec.likelihood.source == "model" else context.truth
     if table is None:
-        raise ValueError(f"{planner} is to be given the true likelihoods, which this evaluation has not got")
+        raise ValueError(f"{spec.name} plans with the true likelihoods, which this evaluation does not have")
     known = tuple(dict.fromkeys([*objects, *(sighting.object for sighting in seen)]))
     kinds = home.container_kinds()
-    prior = given_likelihood(table.matrix(home, known), kinds, options, key_seed(seed, "likelihood"))
+    prior = chosen_likelihood(table.matrix(home, known), kinds, spec.likelihood, key_seed(seed, "likelihood"))
     if context.adapt is None or not seen:
         return prior[:, : len(objects)]
     return adapted(prior, known, kinds, seen, task, context.adapt)[:, : len(objects)]
 
 
 def warm(key: EpisodeKey, context: Context) -> None:
-    """Compiles what the planner needs."""
-    bench = bench_of(context)
-    trial = bench.trial(key.size_class, key.robots, key.number)
-    home, home_map = bench.homes[trial.home_id], bench.map_of(trial.home_id)
-    likelihood = likelihood_given(home, trial.objects, trial.seed, key.planner, context)
-    warm_up(trial, home, home_map, likelihood, make_planner(*context.planner(key.planner)))
+    """Compile what the planner needs."""
+    spec = context.planners[key.planner]
+    warm_up(*setting(key, context), spec.make())
 
 
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
-    """The row of an episode of which nothing more is known; all that it takes is there in the driver too."""
+    """Return the row of an episode of which nothing more is known; the driver can make it too."""
     made_by = context.provenance
     return EpisodeRow(
         trial_id=key.trial_id,
@@ -217,7 +198,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
 
 
 class Bench:
-    """A context unpacked in one worker."""
+    """A context as one worker uses it."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -245,10 +226,10 @@ class Bench:
 
 @lru_cache(maxsize=1)
 def bench_of(context: Context) -> Bench:
-    """A worker's only one at a time."""
+    """Return the bench of a context; a worker keeps one at a time."""
     return Bench(context)
 
 
 def formula_objects(formula: str) -> tuple[str, ...]:
-    """The objects of a formula in order of appearance; raises `FormulaError` when it is none."""
+    """Return the objects of a formula in order of appearance; raises `FormulaError` where the formula is wrong."""
     return build_automaton(formula).propositions

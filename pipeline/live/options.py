@@ -9,14 +9,14 @@ from pydantic import Field, field_validator, model_validator
 
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.planning.planners import make_planner
-from pipeline.app.given import Coordinates, Given
+from pipeline.app.map_task import Coordinates, MapTask
 from pipeline.base.sections import Perception
 from pipeline.base.values import LocalPath
 
 MIN_TOKEN = 16
 
 
-class GivenTeam(Given):
+class TeamOptions(MapTask):
     """The options of `pipeline.live`; ``conf/live.yaml`` explains each."""
 
     team: dict[str, Coordinates] = Field(min_length=1)

@@ -22,9 +22,9 @@ from mrtask.live.session import MAX_BYTES, LiveSession
 from mrtask.live.state import LiveSetup
 from mrtask.live.store import restore
 from mrtask.maps.ros_map import read_ros_map
-from pipeline.app.given import scenario_files
+from pipeline.app.map_task import scenario_files
 from pipeline.app.tool import load_options, overrides
-from pipeline.live.options import GivenTeam
+from pipeline.live.options import TeamOptions
 
 VERBATIM = ("task", "name", "token")
 
@@ -36,13 +36,13 @@ def run(arguments: Sequence[str]) -> None:
     asyncio.run(_serve(options, session))
 
 
-def read_options(arguments: Sequence[str]) -> GivenTeam:
+def read_options(arguments: Sequence[str]) -> TeamOptions:
     """Read the options from a command line; raise `UserError` with every mistake."""
     given = overrides(arguments, VERBATIM)
-    return load_options(GivenTeam, scenario_files(given, "live.yaml"), given)
+    return load_options(TeamOptions, scenario_files(given, "live.yaml"), given)
 
 
-def _live(options: GivenTeam) -> LiveTeam:
+def _live(options: TeamOptions) -> LiveTeam:
     home = read_ros_map(options.map, options.containers)
     task = task_in(home, options.task, options.objects or None, robots=len(options.team))
     home = with_places(home, task.places)
@@ -93,7 +93,7 @@ class SessionHub:
             queue.put_nowait(None)
 
 
-async def _serve(options: GivenTeam, session: LiveSession) -> None:
+async def _serve(options: TeamOptions, session: LiveSession) -> None:
     hub, done = SessionHub(session), asyncio.Event()
     loop = asyncio.get_running_loop()
     for name in (signal.SIGTERM, signal.SIGINT):

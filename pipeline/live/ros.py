@@ -23,8 +23,8 @@ from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.app.tool import CONF_DIR, load_options, main, overrides
-from pipeline.base.config import UserError
+from pipeline.app.tool import load_options, main, overrides
+from pipeline.base.config import CONF_DIR, UserError
 from pipeline.live.client import Message, SocketClient
 
 NAVIGATE_TYPE = "nav2_msgs/action/NavigateToPose"

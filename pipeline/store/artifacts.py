@@ -1,8 +1,8 @@
 """Folders that are named by what they were made from and appear whole or not at all.
 
-``<kind>/<name>-<key>`` with the key a hash of inputs, configuration and code: a folder that is there is right, so a
-stage with unchanged inputs has nothing to do, and concurrent makers of the same folder do not disturb each other. Each
-holds a record of what is in it, its manifest.
+The name is ``<kind>/<name>-<key>``, where the key is a hash of inputs, configuration and code. An existing folder is
+therefore right: a stage with unchanged inputs has nothing to do, and concurrent makers of one folder do not disturb
+each other. Each folder holds a record of its content, its manifest.
 """
 
 import os
@@ -20,8 +20,12 @@ MANIFEST = "manifest.json"
 R = TypeVar("R", bound=Record)
 
 
+class NotMade(UserError):
+    """Something that a dry run would have to make first."""
+
+
 def find_manifest(folder: Path, kind: type[R]) -> R | None:
-    """The manifest of a finished folder; None where there is none that this version can read, so that it is made."""
+    """Return the manifest of a finished folder; None where this version can read none and must make the folder."""
     path = folder / MANIFEST
     if not path.is_file():
         return None
@@ -32,7 +36,7 @@ def find_manifest(folder: Path, kind: type[R]) -> R | None:
 
 
 def make(folder: Path, fill: Callable[[Path], R]) -> R:
-    """Fills a new folder and gives it its name; ``fill`` puts the files into the folder given and returns the manifest.
+    """Fill a new folder and give it its name; ``fill`` puts files into the folder it gets and returns the manifest.
 
     Raises:
         UserError: the place cannot be written.
@@ -50,7 +54,7 @@ def make(folder: Path, fill: Callable[[Path], R]) -> R:
         temporary.chmod(0o755)
         try:
             os.replace(temporary, folder)
-        except OSError:  # somebody else has made it meanwhile, or something that is not finished is in the way
+        except OSError:  # another process has made it meanwhile, or something unfinished is in the way
             if find_manifest(folder, type(manifest)) is None:
                 shutil.rmtree(folder, ignore_errors=True)
                 os.replace(temporary, folder)

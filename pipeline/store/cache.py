@@ -1,7 +1,7 @@
 """The user's cache: maps, embeddings of names and compiled kernels, all of which can be removed at any time.
 
-``python -m pipeline.store.cache`` (``make clean-cache``) removes it. Every evaluation trims it to ``cache_limit_gb``,
-and what was used least recently goes first.
+``python -m pipeline.store.cache`` (``make clean-cache``) removes it. Every evaluation trims it to ``cache_limit_gb``;
+the least recently used files go first.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ from mrtask.files import default_cache_dir
 
 
 def trim(folder: Path, limit_bytes: float) -> int:
-    """Removes the least recently used files until the folder is within its limit; returns how many."""
+    """Remove the least recently used files until the folder is within its limit; return how many."""
     files = []
     for path in folder.rglob("*"):
         with contextlib.suppress(OSError):

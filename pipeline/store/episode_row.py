@@ -12,7 +12,7 @@ Int64 = Annotated[int, pa.int64()]
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeRow:
-    """One planner's episode on one trial. None stands for what an episode that broke off never came to know."""
+    """One planner's episode on one trial. None: an episode that broke off did not get that far."""
 
     trial_id: str
     home_id: str | None = None
@@ -51,7 +51,7 @@ _ARROW = {str: pa.string(), float: pa.float64(), tuple: pa.list_(pa.string())}
 
 
 def _column(hint: Any) -> pa.DataType:
-    """The Parquet type of an annotation: what it carries, else that of its type."""
+    """Return the Parquet type of an annotation: the one it carries, else that of its Python type."""
     [kind] = [part for part in get_args(hint) if part is not NoneType] if NoneType in get_args(hint) else [hint]
     return kind.__metadata__[0] if hasattr(kind, "__metadata__") else _ARROW[get_origin(kind) or kind]
 
@@ -60,4 +60,4 @@ _HINTS = get_type_hints(EpisodeRow, include_extras=True)
 SCHEMA = pa.schema([(field.name, _column(_HINTS[field.name])) for field in fields(EpisodeRow)])
 """The columns of the Parquet files, in their order."""
 TRACE = "trace"
-"""The column that is most of a row's size: it is read only for the episodes that are drawn."""
+"""The column with most of a row's size; only the episodes that are drawn need it."""

@@ -23,10 +23,10 @@ import fsspec
 from pipeline.base.config import UserError
 
 OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"}
-"""They have no folders to make, and making a bucket that is missing would hide a misspelt one."""
+"""They have no folders to make, and making a missing bucket would hide a misspelt name."""
 LOCK = ".lock"
 LEASE_S = 60.0
-"""A run that has not renewed its lock in a store for so long is dead."""
+"""A run that has not renewed its lock in a store for this long is dead."""
 RENEW_EVERY_S = 15.0
 
 
@@ -62,7 +62,7 @@ class Folder:
 
     @contextmanager
     def _errors_explained(self, problem: str, advice: str) -> Iterator[None]:
-        """Passes on as `UserError` what a file system or a store says, of which each has exceptions of its own."""
+        """Turn the exceptions of a file system or store, each of which has its own, into `UserError`."""
         try:
             yield
         except UserError:
@@ -74,10 +74,10 @@ class Folder:
             raise UserError(f"{problem}: {reason}{advice}") from error
 
     def write(self, name: str, content: bytes) -> None:
-        """Writes one file; an older one of that name is replaced at once.
+        """Write one file; it replaces an older one of that name at once.
 
         Raises:
-            UserError: the folder cannot be written, or there is no room.
+            UserError: the folder cannot be written, or the disk is full.
         """
         filesystem, path = self._filesystem()
         advice = "; make room or give another place by output_dir=..., then run the same command again to continue"
@@ -96,7 +96,7 @@ class Folder:
                 Path(temporary).unlink(missing_ok=True)
 
     def read(self, name: str) -> bytes | None:
-        """A file's content, None where there is no such file."""
+        """Return a file's content, None where there is no such file."""
         filesystem, path = self._filesystem()
         with self._errors_explained(f"cannot read {self.location}/{name}", ""):
             try:
@@ -106,7 +106,7 @@ class Folder:
         return content
 
     def names(self) -> list[str]:
-        """The names of the files and folders here, sorted; none where the folder is missing."""
+        """Return the sorted names of the files and folders here; none where the folder is missing."""
         filesystem, path = self._filesystem()
         with self._errors_explained(f"cannot list {self.location}", ""):
             try:
@@ -115,20 +115,20 @@ class Folder:
                 return []
 
     def remove(self, name: str) -> None:
-        """Removes a file or a folder with all in it; nothing happens where there is none."""
+        """Remove a file, or a folder with its content, if it exists."""
         filesystem, path = self._filesystem()
         with self._errors_explained(f"cannot remove {self.location}/{name}", ""):
             if filesystem.exists(f"{path}/{name}"):
                 filesystem.rm(f"{path}/{name}", recursive=True)
 
     def rename(self, old: str, new: str) -> None:
-        """Renames a file."""
+        """Rename a file."""
         filesystem, path = self._filesystem()
         with self._errors_explained(f"cannot rename {self.location}/{old}", ""):
             filesystem.mv(f"{path}/{old}", f"{path}/{new}")
 
     def upload(self, source: Path) -> None:
-        """Copies a local folder's files here."""
+        """Copy a local folder's files here."""
         for path in sorted(source.rglob("*")):
             if path.is_file():
                 parent = path.relative_to(source).parent
@@ -138,10 +138,10 @@ class Folder:
 
 @contextmanager
 def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
-    """Holds the folder for this process; the lock ends with the process, however that ends.
+    """Hold the folder for this process; the lock ends with the process, however that ends.
 
-    A URL is locked on this machine by a file in ``cache_dir`` and for other machines by an object in the store that
-    counts while it is renewed: of two runs that start in the same second on two machines, both may get in.
+    For a URL, a file in ``cache_dir`` locks it on this machine, and an object in the store, which counts while it is
+    renewed, on others: if two machines start a run in the same second, both may get in.
 
     Raises:
         UserError: another run holds it, or the folder cannot be written.
@@ -182,7 +182,7 @@ def _locked_file(path: Path, folder: Folder) -> Iterator[None]:
 
 @contextmanager
 def _leased(folder: Folder) -> Iterator[None]:
-    """Keeps an object in the store that tells runs on other machines to keep out."""
+    """Keep an object in the store that tells runs on other machines to stay out."""
     _refuse_if_leased(folder)
     over = threading.Event()
 
@@ -204,7 +204,7 @@ def _leased(folder: Folder) -> Iterator[None]:
     finally:
         over.set()
         renewing.join()
-        # Left there by a store that fails, it is forgotten like a killed run's.
+        # If the store fails and keeps it, it expires like a killed run's.
         with contextlib.suppress(UserError):
             folder.remove(LOCK)
 
@@ -215,7 +215,7 @@ def _refuse_if_leased(folder: Folder) -> None:
         return
     lease = json.loads(content)
     silent_s = time.time() - lease["renewed"]
-    # One of this machine's is a dead run's: the file lock says that no other is alive.
+    # One from this machine belongs to a dead run: the file lock shows that no other is alive.
     if lease["host"] != socket.gethostname() and silent_s < LEASE_S:
         raise UserError(
             f"output_dir={folder.location} is in use by another run ({lease['by']}, heard of {silent_s:.0f} s ago); "

@@ -26,15 +26,15 @@ class HomeSource(Protocol):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Every file that is read."""
+        """All files that it reads."""
         ...
 
     def read(self) -> tuple[Home, ...]:
-        """The distinct homes, in the order of the files; raises `InputError` where they cannot be read."""
+        """Return the distinct homes, in the order of the files; raises `InputError` where they cannot be read."""
         ...
 
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with the homes that were left out."""
+        """Return what is wrong with the homes that were left out."""
         ...
 
 
@@ -42,7 +42,7 @@ class _Files(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     contents: VotedContents | None = None
-    """What the containers hold instead of what the files say."""
+    """What the containers hold instead of the contents in the files."""
 
     @property
     def _contents_paths(self) -> tuple[Path, ...]:
@@ -59,25 +59,25 @@ class HouseFiles(_Files):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Every file that is read."""
+        """All files that it reads."""
         return (*self.files, *([self.assets] if self.assets else []), *self._contents_paths)
 
     def read(self) -> tuple[Home, ...]:
-        """The distinct homes, in the order of the files.
+        """Return the distinct homes, in the order of the files.
 
         Raises:
-            UserError: a home is faulty and such are not skipped, or all are faulty.
+            UserError: a home is faulty and faulty ones are not skipped, or all are faulty.
             HouseError: a file cannot be read to its end.
             VotesError: the contents' files cannot be read.
         """
         return _furnish(self)
 
     def as_they_come(self) -> "HouseFiles":
-        """The same homes with the contents that the files give them, in the same order."""
+        """Return the same homes in the same order, with the contents from the files."""
         return self.model_copy(update={"contents": None})
 
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with the homes that were left out."""
+        """Return what is wrong with the homes that were left out."""
         return _read_houses(self.as_they_come())[1]
 
 
@@ -88,20 +88,20 @@ class MapFiles(_Files):
     maps: tuple[Path, ...]
     containers: tuple[Path, ...]
     worlds: int
-    """How many homes a map gives where its containers' contents are drawn."""
+    """How many homes each map gives where its containers' contents are drawn."""
     seed: int
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Every file that is read."""
+        """All files that it reads."""
         return (*self.maps, *self.containers, *self._contents_paths)
 
     def read(self) -> tuple[Home, ...]:
-        """The distinct worlds of all maps; raises `MapError`."""
+        """Return the distinct worlds of all maps; raises `MapError`."""
         return _furnish(self)
 
     def faults(self) -> tuple[str, ...]:
-        """None: a faulty map is an error."""
+        """Return nothing: a faulty map is an error."""
         return ()
 
 
@@ -142,26 +142,26 @@ def _read_maps(source: MapFiles) -> tuple[Home, ...]:
 
 
 def check_files(key: str, paths: Iterable[Path | None]) -> None:
-    """Refuses files that are not there; ``key`` is the configuration's that names them, None a file not given."""
+    """Refuse files that do not exist; ``key`` is the configuration key that names them, None stands for no file."""
     for path in paths:
         if path is not None and not path.is_file():
             raise UserError(f"{key}: no such file: {path}")
 
 
 def say_faults(source: HomeSource) -> None:
-    """Says how many faulty homes were left out, and what is wrong with the first."""
+    """Say how many faulty homes were left out, and what is wrong with the first."""
     if faults := source.faults():
         console.line(f"faulty homes left out: {len(faults)}; the first: {faults[0]}")
 
 
 def count_by_size_class(homes: Sequence[Home]) -> dict[str, int]:
-    """How many homes of each class, small to large."""
+    """Return the number of homes in each size class, small to large."""
     counts = Counter(home.size_class for home in homes)
     return {name: counts[name] for name in SIZE_CLASSES}
 
 
 def distinct_layouts(homes: Sequence[Home]) -> list[Home]:
-    """The first home of each layout, in order: homes of one layout differ in what their containers hold."""
+    """Return the first home of each layout, in order; homes of one layout differ in their contents."""
     first: dict[str, Home] = {}
     for home in homes:
         first.setdefault(home.layout_id, home)

@@ -12,7 +12,7 @@ from pipeline.store.records import HomesManifest
 
 @dataclass(frozen=True)
 class HomeSet:
-    """Where the homes are and which is for what."""
+    """Where the homes are, and which home serves which purpose."""
 
     folder: Path
     """The folder of the manifest."""
@@ -20,10 +20,15 @@ class HomeSet:
     houses: HouseFiles
     """The homes that are split."""
     instead_of_test: HomeFiles | None = None
-    """What the planners are evaluated on where that is not the test homes: with homes=ros_map, the maps."""
+    """What planners are evaluated on instead of the test homes: with homes=ros_map, the maps."""
+
+    @property
+    def evaluated(self) -> HomeFiles:
+        """The files with the homes that planners are evaluated on, unless others are given."""
+        return self.instead_of_test or self.houses
 
     def read(self) -> dict[str, tuple[Home, ...]]:
-        """The homes by split, each split in the order of its ids."""
+        """Return the homes by split, each split in the order of its ids."""
         homes = {home.id: home for home in self.houses.read()}
         return {name: tuple(homes[home_id] for home_id in ids) for name, ids in self.split.items()}
 
@@ -32,16 +37,18 @@ class HomeSet:
         """The ids of the training, validation and test homes, by these names."""
         return {name: getattr(self.manifest.split, name) for name in SPLITS}
 
-    def evaluation_homes(self, given: EvaluationHomes) -> tuple[HomeFiles, tuple[Home, ...]]:
-        """The homes to evaluate planners on, in the order of the files that they are from, and those files.
+    def evaluation_homes(self, options: EvaluationHomes) -> tuple[HomeFiles, tuple[Home, ...]]:
+        """Return the homes to evaluate planners on, in the order of their files, and those files.
 
-        These are the homes in the files given, else what stands in for the test homes, else the test homes. Files given
-        without a database of assets are read with that of the set's own houses. All have contents of the set's kind.
+        These are the homes in the configured files, else what replaces the test homes, else the test homes. Files that
+        come without a database of assets use that of the set's own houses. All have contents of the set's kind.
         """
-        if given.files:
-            assets = given.assets or self.houses.assets
+        if options.files:
             others = HouseFiles(
-                files=given.files, assets=assets, skip_faulty=given.skip_faulty, contents=self.houses.contents
+                files=options.files,
+                assets=options.assets or self.houses.assets,
+                skip_faulty=options.skip_faulty,
+                contents=self.houses.contents,
             )
             return others, others.read()
         if self.instead_of_test is not None:

@@ -1,4 +1,4 @@
-"""What lies where in an ``output_dir``; a sweep's holds its cells, each of which is laid out in the same way.
+"""Where everything is in an ``output_dir``; that of a sweep holds its cells, each laid out in the same way.
 
 run.json              `RunIdentity`: everything that decides what the episodes' rows say
 episodes/             the rows, `EpisodeRow`, as Parquet
@@ -7,17 +7,16 @@ mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html, table.csv, replays/, tables/, figures/, and `ReportKey` in manifest.json
 optimality.csv        how far planners are from optimal, by trial: written by pipeline.optimality
-replays/              a page for each trial that pipeline.replay was asked for
+replays/              a page for each trial that pipeline.replay has shown
 sensitivity/          index.html, written by pipeline.sensitivity
-homes/, realism/      what draw=true and pipeline.realism leave
-scenario/             the paper's apartments, where pipeline.scenario was given this folder: the report judges them
-housekeep.csv         what pipeline.housekeep measured
+homes/, realism/      the files of draw=true and of pipeline.realism
+scenario/             the paper's apartments, if pipeline.scenario wrote into this folder: the report shows them
+housekeep.csv         the measurements of pipeline.housekeep
 cells/<cell>/         of a sweep: one output_dir for each cell
 runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_dir for each evaluation
-beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
+beliefs/<arm>.parquet in such a run of priors: what the team believed when each task began
 """
 
-from mrtask.analysis.report.report_page import REPORT_FILE
 from pipeline.store.folder import Folder
 
 IDENTITY = "run.json"
@@ -26,7 +25,7 @@ MANIFEST = "evaluation.json"
 RUN_ID = "mlflow_run_id"
 STAGES = "stages.json"
 REPORT = "report"
-REPORT_INDEX = REPORT_FILE
+REPORT_INDEX = "index.html"
 REPORT_KEY = "manifest.json"
 OPTIMALITY = "optimality.csv"
 HOMES = "homes"
@@ -38,20 +37,20 @@ SCENARIO = "scenario"
 CELLS = "cells"
 RUNS = "runs"
 BELIEFS = "beliefs"
-"""A folder: a file for each arm."""
+"""A folder with a file for each arm."""
 
 
 def forget_episodes(folder: Folder) -> None:
-    """Removes the episodes and all that was made from them."""
+    """Remove the episodes and everything made from them."""
     for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
         folder.remove(name)
 
 
 def runs(folder: Folder, name: str, key: str) -> Folder:
-    """The folder of one of the evaluations that arms share."""
+    """Return the folder of one of the evaluations that arms share."""
     return folder / RUNS / f"{name}-{key}"
 
 
 def cells(folder: Folder) -> list[Folder]:
-    """The folders of a sweep's cells; none where there was no sweep."""
+    """Return the folders of a sweep's cells; none where there was no sweep."""
     return [folder / CELLS / name for name in (folder / CELLS).names()]

@@ -1,4 +1,4 @@
-"""What one stage writes and another reads: one typed, versioned model per file, used by writer and reader alike."""
+"""The files that one stage writes and another reads: one typed, versioned model each, for writer and reader alike."""
 
 import platform
 from collections.abc import Collection, Iterable, Mapping
@@ -31,20 +31,20 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=(), ser_json_inf_nan="constants")
 
     ADVICE: ClassVar[str] = "run the stage that writes it again"
-    """What a user does about a file of another version."""
+    """What a user should do about a file of another version."""
 
     version: Literal[1] = 1
 
     def to_json(self) -> bytes:
-        """The file's content."""
+        """Return the file's content."""
         return self.model_dump_json(indent=1).encode()
 
     @classmethod
     def from_json(cls, content: bytes, path: str) -> Self:
-        """The record in a file's content.
+        """Return the record in a file's content.
 
         Raises:
-            RecordError: the content is damaged or of another version; names ``path`` and says what to do.
+            RecordError: the content is damaged or of another version; the message names ``path`` and says what to do.
         """
         try:
             return cls.model_validate_json(content)
@@ -55,20 +55,20 @@ class Record(BaseModel):
 
     @classmethod
     def read(cls, folder: Folder, name: str) -> Self | None:
-        """The record in a file of a folder, None where there is no such file; raises as `from_json`."""
+        """Return the record in a file of a folder, None where there is no such file; raises what `from_json` does."""
         content = folder.read(name)
         return None if content is None else cls.from_json(content, str(folder / name))
 
     @classmethod
     def find(cls, folder: Folder, name: str) -> Self | None:
-        """The record in a file of a folder; None where there is none that this version can read, so that it is made."""
+        """Return the record in a file of a folder; None where this version can read none and must make it."""
         try:
             return cls.read(folder, name)
         except RecordError:
             return None
 
     def write(self, folder: Folder, name: str) -> None:
-        """Writes the record as a file of a folder."""
+        """Write the record as a file of a folder."""
         folder.write(name, self.to_json())
 
 
@@ -94,7 +94,7 @@ class HomesManifest(Record):
     seed: int
     code_version: str
     content_hash: str
-    """The same for the same homes, in whatever files and order."""
+    """Equal for equal homes, in whatever files and order."""
     homes: int
     skipped: int
     """How many faulty homes were left out."""
@@ -133,7 +133,7 @@ class TrainedModelRecord(Record):
     """The hash of all that the training depends on."""
 
     def facts(self) -> dict[str, Any]:
-        """What the report says about the model, as plain data; ``version`` is that in the registry."""
+        """Return what the report says about the model, as plain data; ``version`` is that in the registry."""
         return self.model_dump(mode="json", exclude={"version", "model_version"}) | {"version": self.model_version}
 
 
@@ -154,7 +154,7 @@ class Asked(_Part):
     trials_per_cell: int
 
     def row_keys(self) -> set[Key]:
-        """The keys of their rows."""
+        """Return the keys of their rows."""
         trials = product(self.size_classes, self.robots, range(self.trials_per_cell))
         return {(trial_id(*trial), planner) for trial in trials for planner in self.planners}
 
@@ -167,10 +167,10 @@ class Asked(_Part):
 
 
 class RunIdentity(Record):
-    """Everything that decides what the rows say; rows of different identities are never mixed in one folder.
+    """Everything that decides the rows' content; rows of different identities are never mixed in one folder.
 
-    A run grows by what was not asked of it before. That changes none of the rows that are there: a trial is decided by
-    its cell and number, and a planner's episode by the trial and the planner's own options.
+    A run grows when it is asked for more. That changes no existing row: a trial depends only on its cell and number, a
+    planner's episode on the trial and the planner's own options.
     """
 
     ADVICE = "give another output_dir, or overwrite=true to start anew there"
@@ -182,7 +182,7 @@ class RunIdentity(Record):
     map: Map
     homes: JsonObject
     evaluation: JsonObject
-    """What decides the trials and is the same for all of them."""
+    """Everything else that decides the trials, the same for all of them."""
     evaluated_homes: str
     """A hash of their ids."""
     planner: Mapping[str, JsonObject]
@@ -190,40 +190,40 @@ class RunIdentity(Record):
     behind: Mapping[str, str]
     """The planner that each name stands for."""
     likelihood: Mapping[str, JsonObject]
-    """What each planner is given that not all are."""
+    """The likelihoods that each planner plans with."""
     model_version: str
     code: str
     """A hash of the sources that decide a row."""
     asked: tuple[Asked, ...]
-    """What was asked for, each with something that was not before."""
+    """What the run was asked for, command by command, where a command asked for something new."""
 
     def content(self, planners: Collection[str] | None = None) -> dict[str, Any]:
-        """What decides the rows of these planners, of all by default, as plain data."""
+        """Return, as plain data, what decides the rows of these planners, by default of all."""
         content = self.model_dump(mode="json", exclude={"version", "asked"})
         for part in self.BY_PLANNER:
             content[part] = {name: one for name, one in content[part].items() if planners is None or name in planners}
         return content
 
     def config_hash(self, planner: str | None = None) -> str:
-        """What a planner's rows carry of it; without one, the hash of all."""
+        """Return the hash that a planner's rows carry; without a planner, the hash of everything."""
         return content_hash(self.content(None if planner is None else [planner]))
 
     def likelihood_of(self, planner: str) -> JsonObject:
-        """Which likelihoods a planner was given."""
+        """Return which likelihoods a planner plans with."""
         common: Any = self.evaluation["likelihood"]
         return {**common, **{key: one for key, one in self.likelihood[planner].items() if one is not None}}
 
     def conflicts(self, other: Self) -> list[str]:
-        """What would be different in rows that both have: ``key: was ..., now ...``; empty where they can be joined."""
+        """Return what would change in rows that both have: ``key: was ..., now ...``; empty where they agree."""
         both = self.planner.keys() & other.planner.keys()
         return list(differences(self.content(both), other.content(both)))
 
     def row_keys(self) -> set[Key]:
-        """The keys of all rows that were asked for."""
+        """Return the keys of all rows that were asked for."""
         return {key for one in self.asked for key in one.row_keys()}
 
     def joined(self, other: Self) -> Self:
-        """This one, grown by what the other asks for besides; itself where that is nothing."""
+        """Return this identity grown by what the other asks for; itself where that is nothing new."""
         known, more = self.row_keys(), []
         for one in other.asked:
             if not one.row_keys() <= known:
@@ -241,17 +241,17 @@ class EvaluatedHomes(_Part):
     source: str
     files: tuple[Path, ...]
     read_from: HomeFiles
-    """Reads the same homes again, to be drawn."""
+    """Reads the same homes again, for drawings."""
     skipped: int
     """How many faulty homes were left out."""
     read: int
     evaluated: int
-    """How many of them the model was not trained on."""
+    """How many of them the model had not seen."""
     by_size_class: Mapping[str, int]
 
 
 class Reach(_Part):
-    """How many containers the evaluated homes have, and to how many of them a robot can go."""
+    """How many containers the evaluated homes have, and how many of them a robot can reach."""
 
     containers: int
     reachable: int
@@ -273,7 +273,7 @@ class Machine(_Part):
 
     @classmethod
     def here(cls, cpus: int) -> Self:
-        """The machine that this process runs on."""
+        """Return the machine that this process runs on."""
         return cls(
             cpus=cpus,
             memory_gb=round(psutil.virtual_memory().total / 2**30, 1),
@@ -283,7 +283,7 @@ class Machine(_Part):
 
 
 class EvaluationManifest(Record):
-    """A finished evaluation: what the report says about the run besides its episodes."""
+    """A finished evaluation: what the report says about the run in addition to its episodes."""
 
     ADVICE = "run python -m pipeline.evaluate with the same output_dir again"
 
@@ -309,18 +309,18 @@ class EvaluationManifest(Record):
     reach: Reach
     machine: Machine
     packages: Mapping[str, str] = {}
-    """Versions of what computed the rows; empty for a run from before they were recorded."""
+    """The versions of what computed the rows; empty for runs from before they were recorded."""
     peak_memory_mb: float | None
-    """Of the worker that took most."""
+    """Of the worker that needed most."""
     started: str
     wall_s: float
     run_id: str
     """The MLflow run."""
     sweep: str
-    """What the cell has of a sweep's values: ``planner.pouct.samples=100``; empty outside sweeps."""
+    """The cell's values of the swept keys: ``planner.pouct.samples=100``; empty outside sweeps."""
 
     def facts(self, stages: "StageTimes | None" = None) -> dict[str, Any]:
-        """What the report shows, as plain data by the names that `mrtask.analysis.report.run_facts` knows."""
+        """Return what the report shows, as plain data by the names that `mrtask.analysis.report.run_facts` knows."""
         nested = {"version", "model", "model_name", "homes", "reach"}
         homes = self.homes.model_dump(mode="json") | {
             "training": self.model.training_homes if self.model else None,
@@ -341,6 +341,6 @@ class StageTimes(Record):
 
 
 class ReportKey(Record):
-    """The hash of all that a report depends on, beside the report."""
+    """The hash of all that a report depends on, kept beside the report."""
 
     key: str

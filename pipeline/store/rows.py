@@ -1,6 +1,6 @@
 """The episodes dataset: Parquet, one row per (trial, planner), written while episodes finish.
 
-Rows go out in small part files every second or two, so a killed run loses at most what finished since. Small parts are
+Rows go to small part files every second or two, so a killed run loses at most what finished since. Small parts are
 merged now and then and at the end. A merge first writes ``_merge-*.parquet`` (which readers of Parquet datasets ignore)
 with the names of the parts it replaces in its metadata, then removes those, then takes its final name; opening the
 dataset finishes a merge that was interrupted, so no row is ever lost or doubled.
@@ -26,7 +26,7 @@ FLUSH_EVERY_S = 2.0
 FLUSH_ROWS = 500
 MERGE_PARTS = 50
 FULL_PART_ROWS = 20_000
-"""Parts of this size are left alone: a merge holds as many rows in memory, with their traces."""
+"""Larger parts are not merged: a merge holds its rows in memory, with their traces."""
 
 SORTED_BY = [("trial_id", "ascending"), ("planner", "ascending")]
 _REPLACES = b"replaces"
@@ -38,7 +38,7 @@ Key = tuple[str, str]
 class EpisodeWriter:
     """The one writer of a dataset.
 
-    Rows of a status in ``rerun`` are dropped at the opening, to be run again: those of ``asked``, all by default.
+    Opening it drops rows of a status in ``rerun``, so that they run again: only those of ``asked`` where that is given.
     """
 
     def __init__(self, folder: Folder, rerun: Collection[str] = (), asked: Collection[Key] | None = None) -> None:
@@ -50,23 +50,23 @@ class EpisodeWriter:
             self._drop(rerun, asked)
 
     def finished(self) -> set[Key]:
-        """The keys of the rows that are there."""
+        """Return the keys of the existing rows."""
         table = read_table(self._folder, ["trial_id", "planner"])
         return set(zip(table["trial_id"].to_pylist(), table["planner"].to_pylist(), strict=True))
 
     def add(self, row: EpisodeRow) -> None:
-        """Takes a finished row; it is on disk within `FLUSH_EVERY_S` as long as `tick` is called."""
+        """Add a finished row; it is on disk within `FLUSH_EVERY_S` as long as `tick` is called."""
         self._pending.append(row)
         self.tick()
 
     def tick(self) -> None:
-        """Writes what is pending when it is time."""
+        """Write what is pending when it is time."""
         due = time.monotonic() - self._flushed_s >= FLUSH_EVERY_S or len(self._pending) >= FLUSH_ROWS
         if self._pending and due:
             self.flush()
 
     def flush(self) -> None:
-        """Writes what is pending."""
+        """Write what is pending."""
         if self._pending:
             table = pa.Table.from_pylist([row.as_dict() for row in self._pending], schema=SCHEMA).sort_by(SORTED_BY)
             self._small.append(_write(self._folder, "part", table))
@@ -76,7 +76,7 @@ class EpisodeWriter:
             self._merge()
 
     def close(self) -> None:
-        """Writes the rest and merges the small parts into one, sorted by trial and planner."""
+        """Write the rest and merge the small parts into one, sorted by trial and planner."""
         self.flush()
         if len(self._small) > 1:
             self._merge()
@@ -104,7 +104,7 @@ class EpisodeWriter:
 
 
 def read_table(folder: Folder, columns: list[str] | None = None) -> pa.Table:
-    """The rows of a dataset, of all columns or some; empty where there is none."""
+    """Return all or some columns of a dataset's rows; empty where there is no dataset."""
     names = _part_names(folder)
     if not names:
         empty = SCHEMA.empty_table()
@@ -113,10 +113,10 @@ def read_table(folder: Folder, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_episodes(folder: Folder) -> pd.DataFrame:
-    """All rows as a DataFrame, without the traces, which are most of their size.
+    """Return all rows as a DataFrame, without the traces, which are most of their size.
 
     Raises:
-        UserError: there are none.
+        UserError: there are no rows.
     """
     table = read_table(folder, [name for name in SCHEMA.names if name != TRACE])
     if table.num_rows == 0:
@@ -126,7 +126,7 @@ def read_episodes(folder: Folder) -> pd.DataFrame:
 
 
 def read_traces(folder: Folder, trials: Collection[str], planners: Collection[str] | None = None) -> pd.DataFrame:
-    """``trial_id, planner, trace`` of these trials by these planners, by all of them by default."""
+    """Return ``trial_id, planner, trace`` of these trials by these planners, by default by all."""
     wanted = pa.array(sorted(trials), pa.string())
     columns = ["trial_id", "planner", TRACE]
     found = [SCHEMA.empty_table().select(columns)]
@@ -141,13 +141,13 @@ def read_traces(folder: Folder, trials: Collection[str], planners: Collection[st
 
 
 def read_csv(folder: Folder, name: str) -> pd.DataFrame | None:
-    """A table that a stage left in the folder, None where there is none."""
+    """Return a table that a stage left in the folder, None where there is no such file."""
     content = folder.read(name)
     return None if content is None else pd.read_csv(io.BytesIO(content))
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
-    """Where two nested configurations differ: ``key: was ..., now ...``."""
+    """Yield where two nested configurations differ: ``key: was ..., now ...``."""
     for key in sorted(old.keys() | new.keys()):
         a, b = old.get(key), new.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
@@ -190,7 +190,7 @@ def _write(folder: Folder, kind: str, table: pa.Table) -> str:
 
 
 def _finish_merges(folder: Folder) -> list[str]:
-    """Ends what an interrupted run left half done; returns the parts that are not full."""
+    """Finish merges that an interrupted run left half done; return the parts that are not full."""
     for name in folder.names():
         content = folder.read(name) if name.startswith("_merge-") else None
         if content is not None:

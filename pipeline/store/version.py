@@ -1,4 +1,4 @@
-"""Which code made a result: git's description for people, and a hash of the sources to tell what is up to date."""
+"""Which code made a result: git's description for people, and a hash of the sources to check what is current."""
 
 import importlib.metadata
 import subprocess
@@ -11,20 +11,20 @@ STAGES = Path(__file__).parents[1].relative_to(ROOT).as_posix()
 """The folder of the stages: ``pipeline`` in a checkout, ``mrtask/pipeline`` where a wheel was installed."""
 
 DECIDING_PACKAGES = ("networkx", "numba", "numpy", "scikit-image", "scipy", "sentence-transformers", "shapely", "torch")
-"""What computes maps, likelihoods and plans: named where a paper says how its results were made."""
+"""The packages that compute maps, likelihoods and plans; a paper names them to say how its results were made."""
 
 
 @cache
 def source_hash(*folders: str) -> str:
-    """16 hex digits of all code and data files below the folders (``mrtask/homes``, ...), by path and content."""
+    """Return 16 hex digits for the path and content of all sources below the folders (``mrtask/homes``, ...)."""
     return hash_folders(*folders)
 
 
 @cache
 def code_version() -> str:
-    """The commit (``-dirty`` with uncommitted changes), or the sources' hash where there is no git.
+    """Return the commit (``-dirty`` with uncommitted changes), or the sources' hash where there is no git.
 
-    Installed, the code may lie in an environment below somebody else's repository, whose commit says nothing.
+    Installed code may lie in an environment below somebody else's repository, whose commit says nothing about it.
     """
     if not (ROOT / ".git").exists():
         return _without_git()
@@ -36,12 +36,12 @@ def code_version() -> str:
 
 
 def public_version(package: str) -> str:
-    """The version as package indexes know it: ``2.13.0``, not the local build ``2.13.0+cpu``."""
+    """Return the version as package indexes know it: ``2.13.0``, not the local build ``2.13.0+cpu``."""
     return importlib.metadata.version(package).partition("+")[0]
 
 
 def package_versions() -> dict[str, str]:
-    """Of `DECIDING_PACKAGES`."""
+    """Return the versions of `DECIDING_PACKAGES`."""
     return {name: public_version(name) for name in DECIDING_PACKAGES}
 
 

@@ -1,4 +1,4 @@
-"""Contents of homes drawn from the votes of people: the files of votes and the options, as a record keeps them."""
+"""Contents of homes drawn from people's votes: the files of votes and the options, as a record keeps them."""
 
 from collections.abc import Sequence
 from functools import lru_cache, partial
@@ -39,33 +39,33 @@ class VotedContents(BaseModel):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Every file that is read."""
+        """All files that it reads."""
         return (self.file, *([self.splits] if self.splits else []), self.table)
 
     def votes(self) -> Votes:
-        """The votes on the objects that may lie in the homes; raises `VotesError`."""
+        """Return the votes on the objects that may lie in the homes; raises `VotesError`."""
         return _read_votes(self)
 
     def furnish(self, homes: Sequence[Home]) -> tuple[Home, ...]:
-        """The homes in their order, refurnished; a home's contents depend on itself and the seed alone."""
+        """Return the homes in their order, refurnished; a home's contents depend only on the home and the seed."""
         refurnisher = Refurnisher(self.votes(), self.match(homes), self.misplaced)
         return tuple(
             refurnisher.refurnish(home, np.random.default_rng([self.seed, int(home.id, 16)])) for home in homes
         )
 
     def match(self, homes: Sequence[Home]) -> Match:
-        """Which of the votes' places the homes' containers stand for."""
+        """Return which places of the votes the homes' containers stand for."""
         nearest = partial(nearest_name, model=self.embedding)
         return match_homes(homes, self.votes().placements, read_table(self.table), nearest)
 
     def key(self) -> list[object]:
-        """What decides the contents beside the files."""
+        """Return what decides the contents besides the files."""
         options = self.model_dump(mode="json", exclude={"file", "splits", "table"})
         return [options, hash_module(refurnish.__name__)]
 
 
 def voted_contents(options: Contents, datasets_dir: Path) -> VotedContents:
-    """The configured files, downloaded where none are given, and options, checked.
+    """Return the configured files, downloaded where none are given, and options, checked.
 
     Raises:
         InputError: a file is missing, damaged, unsafe or cannot be downloaded.
@@ -81,8 +81,14 @@ def voted_contents(options: Contents, datasets_dir: Path) -> VotedContents:
     return found
 
 
+def needs_download(options: Contents, datasets_dir: Path) -> bool:
+    """Tell whether a file of the configured votes is neither given nor downloaded yet."""
+    wanted = {VOTES_FILE: options.file} | ({} if options.objects == ALL else {SPLITS_FILE: options.splits})
+    return any(path is None and not (datasets_dir / FOLDER / name).is_file() for name, path in wanted.items())
+
+
 def votes_by_split(options: Contents, datasets_dir: Path) -> dict[str, Votes]:
-    """The configured votes on the objects of each split; raises as `voted_contents` does."""
+    """Return the configured votes on the objects of each split; raises what `voted_contents` does."""
     _, votes = _votes_in(options, datasets_dir)
     _, splits = _splits_in(options, datasets_dir)
     return {name: votes.of(objects) for name, objects in splits.items()}
@@ -99,14 +105,14 @@ def _splits_in(options: Contents, datasets_dir: Path) -> tuple[Path, dict[str, t
 
 
 def say_match(contents: VotedContents, homes: Sequence[Home]) -> None:
-    """Says what the homes' containers were matched to by name, and which stay empty."""
+    """Say which containers of the homes were matched by name, and which stay empty."""
     match = contents.match(homes)
     if match.by_name:
         console.line("matched by name: " + ", ".join(f"{name} as {found}" for name, found in match.by_name.items()))
     if match.unknown:
-        console.line(f"the table of receptacles names what nobody voted on: {', '.join(match.unknown)}")
+        console.line(f"the table of receptacles has names without votes: {', '.join(match.unknown)}")
     if match.unmatched:
-        console.line(f"no votes on what these hold, they stay empty: {', '.join(match.unmatched)} (contents.table=...)")
+        console.line(f"these have no votes and stay empty: {', '.join(match.unmatched)} (contents.table=...)")
 
 
 def _downloaded(name: str, datasets_dir: Path) -> Path:

@@ -1,4 +1,4 @@
-"""What workers do for the stages of homes and rows; they import this, and not the stages with all that these need."""
+"""What workers do for homes and rows. They import this module alone, not the rooms with all that those need."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,10 +12,10 @@ from mrtask.likelihood.rows import label_rows
 
 
 def generate_numbered(number: int, seed: int) -> dict[str, Any]:
-    """The house of this number of a seed; the size classes take turns."""
+    """Return the house of this number of a seed; the size classes take turns."""
     return generate_house(key_seed(seed, "home", number), SIZE_CLASSES[number % len(SIZE_CLASSES)])
 
 
-def label_chunk(number: int, chunks: Sequence[Sequence[Home]], objects: tuple[str, ...]) -> pd.DataFrame:
-    """The labelled rows of a chunk of homes."""
-    return pd.concat([label_rows(home, objects) for home in chunks[number]], ignore_index=True)
+def label_numbered(number: int, homes: Sequence[Home], objects: tuple[str, ...]) -> pd.DataFrame:
+    """Return the labelled rows of the home of this number."""
+    return label_rows(homes[number], objects)

@@ -20,7 +20,7 @@ from hydra.core.override_parser.types import Override
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
-from pipeline.app.given import GivenTrial, scenario_files
+from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.main import _for_hydra
 from pipeline.app.tool import load_options, overrides
 from pipeline.live.process import read_options as live_options
@@ -162,7 +162,7 @@ def _check(command: list[str], folder: Path) -> None:
         assert len(arguments) == 4
     elif program == "python" and arguments[:2] == ["-m", "pipeline.scenario"]:
         given = overrides(arguments[2:], VERBATIM)
-        load_options(GivenTrial, scenario_files(given, "scenario.yaml"), given)
+        load_options(ScenarioOptions, scenario_files(given, "scenario.yaml"), given)
     elif program == "python" and arguments[0] == "-m" and arguments[1].startswith("pipeline."):
         assert arguments[1].removeprefix("pipeline.") in STAGES
         _check_overrides(arguments[2:])

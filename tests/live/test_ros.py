@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from pipeline.app.tool import CONF_DIR, load_options
-from pipeline.base.config import UserError
+from pipeline.app.tool import load_options
+from pipeline.base.config import CONF_DIR, UserError
 from pipeline.live import ros
 from tests.live.rosbridge import ABORTED, Rosbridge
 from tests.live.serving import ENDS_WITHIN_S, live_process

@@ -9,8 +9,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 
-from pipeline.app.main import CONF_DIR, _for_hydra
-from pipeline.base.config import Config, load
+from pipeline.app.main import _for_hydra
+from pipeline.base.config import CONF_DIR, Config, load
 
 
 def configured(*arguments: str) -> Config:

@@ -12,7 +12,7 @@ from hydra._internal.hydra import Hydra
 
 from mrtask.analysis.page import exhibits
 from mrtask.analysis.studies import sensitivity
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from tests.pipeline.harness import ROOT, SMALL, Cli, Finished, Workspace, run_stage
 
 
@@ -57,7 +57,7 @@ def ray_session(_cache: None, _importable: None) -> Iterator[None]:
 def _no_pictures() -> Iterator[None]:
     """Reports have all their figures, but these are not drawn, which takes most of a report's time.
 
-    Which figures there are and how they look, tests of the library know; tests of the wheel have them drawn.
+    The library's tests check which figures exist and how they look; the wheel's tests draw them.
     """
     with pytest.MonkeyPatch.context() as patch:
         for module in (exhibits, sensitivity):
@@ -89,15 +89,15 @@ def _empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _stores_made_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """A new store is a copy; those of other processes are made as they come."""
-    opened = tracking.open_tracking
+    opened = runs.open_tracking
 
-    def open_tracking(uri: str, experiment: str) -> tracking.Tracking:
+    def open_tracking(uri: str, experiment: str) -> runs.Tracking:
         database = Path(uri.removeprefix("sqlite:///"))
         if uri.startswith("sqlite:///") and database.parent.is_dir() and not database.exists():
             shutil.copy(request.getfixturevalue("_empty_store"), database)
         return opened(uri, experiment)
 
-    monkeypatch.setattr(tracking, "open_tracking", open_tracking)
+    monkeypatch.setattr(runs, "open_tracking", open_tracking)
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ class Gate:
         folder.mkdir(exist_ok=True)
 
     def shut_after(self, episodes: int) -> None:
-        """From now on so many more may pass."""
+        """Let this many more pass from now on."""
         (self.folder / "come").write_bytes(b"")
         (self.folder / "passing").write_text(str(episodes))
 

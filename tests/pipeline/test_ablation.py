@@ -1,5 +1,6 @@
 """The ablation: which arms share an evaluation, and one in small from the command line."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -21,8 +22,8 @@ SWITCHES = (
 STEPS = "ablation.steps=[{name: first, overrides: 'planner.pouct_paper.exploration=0.7'}]"
 
 
-def laid_out(config: Config) -> list[SharedRun]:
-    return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT)
+def laid_out(config: Config) -> Sequence[SharedRun]:
+    return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT).shared
 
 
 def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_planners() -> None:
@@ -49,7 +50,7 @@ def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_pla
     applied = part.configured()
     assert applied.evaluation.unsearched_share == (0.5, 1.0)
     assert applied.evaluation.planners == tuple(part.variants)
-    assert applied.planner_options("nonlearned_myopic:authors")["return_to_known"] == "when_complete"
+    assert applied.spec("nonlearned_myopic:authors").options["return_to_known"] == "when_complete"
     assert applied.output_dir != whole.configured().output_dir
 
 
@@ -64,17 +65,17 @@ def test_an_ablation_that_is_asked_for_more_goes_on_in_the_same_folders() -> Non
 def test_arms_can_differ_in_what_planners_are_given() -> None:
     config = configured()
     arms = [("as it is", ()), ("noisy", ("likelihood.noise_sd=2",)), ("same", ("likelihood.noise_sd=0",))]
-    [shared] = lay_out(config, arms, ("pouct",), "test")
+    [shared] = lay_out(config, arms, ("pouct",), "test").shared
     assert list(shared.variants) == ["pouct:as-it-is", "pouct:noisy"]
     applied = shared.configured()
     assert applied.likelihood.noise_sd == 0
-    assert [applied.likelihood_of(name).noise_sd for name in shared.variants] == [0, 2]
+    assert [applied.spec(name).likelihood.noise_sd for name in shared.variants] == [0, 2]
 
 
 def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
     poor = ("perception.true_positive_prob=0.7",)
     arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
-    sees_all, misses = lay_out(configured(), arms, ("pouct",), "test")
+    sees_all, misses = lay_out(configured(), arms, ("pouct",), "test").shared
     assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
     assert misses.configured().perception.true_positive_prob == 0.7
     assert misses.configured().output_dir != sees_all.configured().output_dir

@@ -13,9 +13,11 @@ from mrtask.likelihood.adapt import AdaptOptions, adapted, sightings_of
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
+from pipeline.base.planner_spec import PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
-from pipeline.episodes.worker import Context, EpisodeKey, MapOptions, Provenance, run_chain, run_one
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
+from pipeline.store.maps import MapOptions
 from tests.pipeline.harness import Cli, Workspace
 
 TASKS = 3
@@ -33,7 +35,7 @@ def context(generated_homes: list[Home], tmp_path_factory: pytest.TempPathFactor
         maps=MapOptions(0.1, 0.2, tmp_path_factory.mktemp("cache")),
         seed=0,
         trials=TrialOptions(tasks_per_home=TASKS),
-        planner_options={"learned_myopic": {}},
+        planners={"learned_myopic": PlannerSpec("learned_myopic", "learned_myopic")},
         provenance=Provenance("1", {"learned_myopic": ""}, ""),
         adapt=AdaptOptions(),
     )

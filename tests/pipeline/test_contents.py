@@ -86,7 +86,7 @@ def test_the_split_is_that_of_the_homes_as_they_come(cli: Cli, tmp_path: Path) -
     plain = cli("homes", *SMALL)
     human = cli("homes", *SMALL, *HUMAN)
     assert plain.code == human.code == 0, human.err
-    assert "no votes on what these hold, they stay empty: GarbageCan" in human.out
+    assert "these have no votes and stay empty: GarbageCan" in human.out
     assert "(unchanged, skipped)" in cli("homes", *SMALL, *HUMAN).out
     assert "(unchanged, skipped)" not in cli("homes", *SMALL, *HUMAN, "contents.misplaced=0.5").out
     manifests = [homes_manifest(folder) for folder in (tmp_path / "datasets/homes").iterdir()]

@@ -14,7 +14,7 @@ import pandas as pd
 import psutil
 import pytest
 
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.store import rows as results
 from tests.pipeline.harness import Cli, Workspace
 from tests.pipeline.own_planners import Gate
@@ -133,15 +133,15 @@ def test_a_driver_stopped_again_and_again_goes_on(workspace: Workspace, cli: Cli
         finished = rows.merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
         assert len(finished) == len(before)
         assert (finished["planning_s"] == finished["planning_s_before"]).all(), "a finished row was run again"
-    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
-    runs = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
-    assert sorted(run.info.status for run in runs) == ["FINISHED", "KILLED", "KILLED"]
+    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    found = mlflow.MlflowClient().search_runs([store.experiment_id], f"tags.output_dir = '{target}'")
+    assert sorted(run.info.status for run in found) == ["FINISHED", "KILLED", "KILLED"]
 
 
 def rows_until_stopped(
     how: signal.Signals, overrides: Sequence[str], folder: Path, target: Path, rows: int
 ) -> pd.DataFrame:
-    """Stops a driver when it has written so many rows or more, and nothing of it is running then; what is there."""
+    """Stop a driver once it has written this many rows, when no process of it runs, and return its rows."""
     command = [sys.executable, "-m", "pipeline.evaluate", *overrides, "cluster.address=local"]
     said = target.with_suffix(".err")
     with said.open("w") as said_to:
@@ -165,7 +165,7 @@ def is_worker(process: psutil.Process) -> bool:
 
 
 def wait_for_rows(driver: subprocess.Popen[bytes], target: Path, count: int) -> None:
-    """Until the driver has written so many rows."""
+    """Wait until the driver has written this many rows."""
     end_s = time.monotonic() + 300
     while time.monotonic() < end_s and driver.poll() is None:
         parts = list((target / "episodes").glob("part-*.parquet"))

@@ -1,4 +1,4 @@
-"""A run that is asked for more in the same output_dir: what is missing is added, and no row that is there changes."""
+"""A run that is asked for more in the same output_dir adds what is missing and changes no existing row."""
 
 import json
 from pathlib import Path

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from mrtask.sources import hash_module
-from pipeline import homes
+from pipeline.inputs import homes
 from pipeline.store import artifacts
 from tests.pipeline.harness import Cli
 from tests.pipeline.test_stages import homes_manifest

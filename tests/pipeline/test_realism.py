@@ -44,6 +44,15 @@ def test_both_tables(cli: Cli, tmp_path: Path, overrides: tuple[str, ...]) -> No
     pd.testing.assert_frame_equal(pd.read_csv(folder / "homes.csv"), homes)
 
 
+def test_homes_are_measured_on_the_configured_ways(cli: Cli, tmp_path: Path, overrides: tuple[str, ...]) -> None:
+    tables = []
+    for ways in ("shortest", "soft"):
+        done = cli("realism", *overrides, "realism.models=[]", f"map.ways={ways}", f"output_dir={ways}")
+        assert done.code == 0, done.err
+        tables.append(pd.read_csv(tmp_path / ways / "realism" / "homes.csv"))
+    assert not tables[0].equals(tables[1])
+
+
 def test_generated_homes_are_not_compared_with_themselves(cli: Cli) -> None:
     done = cli("realism")
     assert done.code == 2

@@ -17,7 +17,7 @@ from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import read_ros_map
 from mrtask.planning.planners import make_planner
 from pipeline import scenario
-from pipeline.app.given import SCENARIOS, scenario_names
+from pipeline.app.map_task import SCENARIOS, scenario_names
 from pipeline.app.tool import main
 
 

@@ -17,8 +17,8 @@ import pytest
 
 from mrtask.homes.download import DownloadError
 from mrtask.homes.generator.house import generate_house
-from pipeline import homes
-from pipeline.backends import tracking
+from pipeline.backends import registry, runs
+from pipeline.inputs import floor_plans, homes
 from pipeline.store import artifacts
 from pipeline.store.episode_row import SCHEMA
 from pipeline.store.records import EvaluationManifest, HomesManifest, StageTimes
@@ -82,9 +82,9 @@ def test_reproduce_leaves_every_result(workspace: Workspace) -> None:
 
 
 def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
-    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
     client = mlflow.MlflowClient()
-    champion = client.get_model_version_by_alias(tracking.MODEL_NAME, "champion")
+    champion = client.get_model_version_by_alias(registry.MODEL_NAME, "champion")
     trained = client.get_run(champion.run_id)
     assert trained.data.tags["stage"] == "train" and trained.inputs.dataset_inputs
     of_evaluation = evaluation_manifest(workspace.output_dir).run_id
@@ -237,7 +237,7 @@ def test_dry_run_tells_the_time_and_writes_nothing(workspace: Workspace, cli: Cl
     done = cli("evaluate", *workspace.overrides, "--dry-run", "output_dir=outputs/dry", cwd=workspace.path)
     assert done.code == 0
     assert "24 episodes" in done.out and "no episode was written" in done.out
-    assert [path.name for path in (workspace.path / "outputs" / "dry").iterdir()] == [".lock"]
+    assert not (workspace.path / "outputs" / "dry").exists()
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ def test_faulty_homes_are_left_out_and_counted_where_that_is_asked_for(cli: Cli,
 
 
 def test_floor_plans_are_drawn(workspace: Workspace, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(homes, "DRAWN_PER_CLASS", 1)
+    monkeypatch.setattr(floor_plans, "DRAWN_PER_CLASS", 1)
     done = cli("homes", *workspace.overrides, "draw=true", "output_dir=outputs/drawn", cwd=workspace.path)
     assert done.code == 0
     drawn = sorted(path.name for path in (workspace.path / "outputs" / "drawn" / "homes").iterdir())

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from mrtask.likelihood import embeddings
-from pipeline.backends import tracking
-from pipeline.train import find_record
+from pipeline.backends import registry
+from pipeline.inputs.training import find_record
 from tests.pipeline.harness import Cli, Workspace
 
 
@@ -16,7 +16,7 @@ def test_a_model_that_the_registry_has_lost_is_trained_once_more(workspace: Work
     uri = f"sqlite:///{workspace.path}/lost.db"
     other = [*workspace.overrides, f"tracking.uri={uri}"]
     assert "version 1: promoted: the first model" in cli("train", *other, cwd=workspace.path).out
-    mlflow.MlflowClient(uri).delete_model_version(tracking.MODEL_NAME, "1")
+    mlflow.MlflowClient(uri).delete_model_version(registry.MODEL_NAME, "1")
     assert "version 2: promoted" in cli("train", *other, cwd=workspace.path).out
     assert "version 2 (unchanged, skipped)" in cli("train", *other, cwd=workspace.path).out
 

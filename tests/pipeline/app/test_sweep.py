@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.app.stage import Session, Stage
 from pipeline.app.sweep import Sweep
-from pipeline.backends import tracking
+from pipeline.backends import runs
 from pipeline.base.config import Config, UserError
 from tests.pipeline.harness import Cli, Workspace
 
@@ -32,7 +32,7 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
     page = (target / "report" / "index.html").read_text()
     assert "Cost against samples" in page
     assert "planner.pouct.samples=5" in page and "planner.pouct.samples=10" in page
-    store = tracking.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
     client = mlflow.MlflowClient()
     [parent] = client.search_runs([store.experiment_id], f"tags.stage = 'sweep' and tags.output_dir = '{target}'")
     assert parent.info.status == "FINISHED"
@@ -80,7 +80,10 @@ def run_cells(*, fail: set[str], dry_run: bool = False, compares: bool = True) -
         if session.cell.title in fail:
             raise UserError("no home")
 
-    stage = Stage(run, (lambda config, run_id: compared.append(f"{config.output_dir} {run_id}")) if compares else None)
+    def compare(config: Config, run_id: str | None) -> None:
+        compared.append(f"{config.output_dir} {run_id}")
+
+    stage = Stage(run, lambda config, session: (), locks="never", compare_cells=compare if compares else None)
     config = Config.model_construct(output_dir="/out", dry_run=dry_run)
     sweep = Sweep(frozenset({"a.seed"}), config, cells=3, parent_run_id="parent")
     for seed in range(3):

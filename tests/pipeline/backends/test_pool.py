@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.backends import pool as pool_module
-from pipeline.backends.pool import Outcome, Pool
+from pipeline.backends.pool import ItemError, Outcome, Pool
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
 from tests.pipeline import pool_tasks as tasks
@@ -37,6 +37,12 @@ def test_every_item_comes_back_once(pool: Pool) -> None:
     found = outcomes(pool.run(tasks.square, range(40)))
     assert {item: outcome.value for item, outcome in found.items()} == {item: item * item for item in range(40)}
     assert {outcome.attempt for outcome in found.values()} == {1}
+
+
+def test_values_come_with_their_items_and_one_that_fails_is_named(pool: Pool, tmp_path: Path) -> None:
+    assert dict(pool.values(tasks.square, range(40), unit="squares")) == {item: item * item for item in range(40)}
+    with pytest.raises(ItemError, match=r"(?s)squares: number 1 failed: .*item 1 is not to my liking"):
+        list(pool.values(tasks.fail_until, [1], tmp_path, 9, unit="squares", named=lambda item: f"number {item}"))
 
 
 def test_items_are_taken_only_as_workers_need_them(pool: Pool) -> None:

@@ -21,7 +21,7 @@ with warnings.catch_warnings():
     import mlflow
     import mlflow.pyfunc
 
-    from pipeline.backends import tracking
+    from pipeline.backends import registry, runs
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::UserWarning:mlflow", "ignore:.*noload.*", "ignore:Operation with range"
@@ -73,16 +73,16 @@ def store(empty_store, tmp_path):
 
 
 def open_in(folder, experiment="mrtask"):
-    return tracking.open_tracking(f"sqlite:///{folder}/mlflow.db", experiment)
+    return runs.open_tracking(f"sqlite:///{folder}/mlflow.db", experiment)
 
 
 def register(store, trained, dataset, name="train"):
-    with tracking.run(store, name, {}, {}) as run:
-        return tracking.register_model(run, trained, dataset)
+    with runs.run(store, name, {}, {}) as run:
+        return registry.register_model(run, trained, dataset)
 
 
 def artifact(store, version, name):
-    source = mlflow.MlflowClient().get_model_version(tracking.MODEL_NAME, version).source
+    source = mlflow.MlflowClient().get_model_version(registry.MODEL_NAME, version).source
     return Path(mlflow.artifacts.download_artifacts(artifact_uri=source)) / "artifacts" / name
 
 
@@ -93,25 +93,25 @@ def test_new_store_lies_in_one_folder(empty_store):
 
 def test_store_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(tracking.TrackingError, match=r"tracking.uri=.*MLflow's store cannot be opened or made there"):
+    with pytest.raises(runs.TrackingError, match=r"tracking.uri=.*MLflow's store cannot be opened or made there"):
         open_in(tmp_path / "file")
 
 
 def test_moved_store_is_noticed(store, tmp_path):
     shutil.move(tmp_path / "runs of Zoë", tmp_path / "elsewhere")
-    with pytest.raises(tracking.TrackingError, match="this store was moved"):
+    with pytest.raises(runs.TrackingError, match="this store was moved"):
         open_in(tmp_path / "elsewhere", "mine")
 
 
 def test_run_records_all_it_is_given(store, dataset, good, tmp_path):
     write_dataset(dataset, tmp_path / "rows")
     (tmp_path / "note.txt").write_text("hello")
-    with tracking.run(store, "train", {"model": {"kind": "frequency"}, "seed": 3}, {"git": "abc"}) as run:
+    with runs.run(store, "train", {"model": {"kind": "frequency"}, "seed": 3}, {"git": "abc"}) as run:
         for epoch, loss in enumerate([0.5, 0.25], 1):
-            tracking.log_metrics(run, {"loss": loss, "nothing": float("nan")}, step=epoch)
-        tracking.log_artifact(run, tmp_path / "note.txt", "notes")
-        tracking.log_dataset(run, dataset, tmp_path / "rows")
-        tracking.log_training(run, good, dataset)
+            runs.log_metrics(run, {"loss": loss, "nothing": float("nan")}, step=epoch)
+        runs.log_artifact(run, tmp_path / "note.txt", "notes")
+        runs.log_dataset(run, dataset, tmp_path / "rows")
+        runs.log_training(run, good, dataset)
     client = mlflow.MlflowClient()
     found = client.get_run(run.run_id)
     assert found.info.status == "FINISHED"
@@ -133,9 +133,9 @@ def test_run_records_all_it_is_given(store, dataset, good, tmp_path):
 
 def test_a_table_is_replaced_and_shown_beside_others(store):
     first = pd.DataFrame({"planner": ["pouct", "greedy"], "mean_cost_s": [1.5, float("nan")]})
-    with tracking.run(store, "evaluate", {}, {}) as run:
-        tracking.log_table(run, first, "table.json")
-    tracking.log_table(run, first.head(1).assign(mean_cost_s=2.5), "table.json")
+    with runs.run(store, "evaluate", {}, {}) as run:
+        runs.log_table(run, first, "table.json")
+    runs.log_table(run, first.head(1).assign(mean_cost_s=2.5), "table.json")
     kept = mlflow.MlflowClient().load_table(store.experiment_id, "table.json", run_ids=[run.run_id])
     assert kept.to_dict("records") == [{"planner": "pouct", "mean_cost_s": 2.5}]
     shown = json.loads(mlflow.MlflowClient().get_run(run.run_id).data.tags["mlflow.loggedArtifacts"])
@@ -144,40 +144,40 @@ def test_a_table_is_replaced_and_shown_beside_others(store):
 
 def test_runs_end_as_they_were_left_and_have_children(store):
     client = mlflow.MlflowClient()
-    with tracking.run(store, "parent", {}, {}) as parent, tracking.run(store, "child", {}, {}, parent.run_id) as child:
+    with runs.run(store, "parent", {}, {}) as parent, runs.run(store, "child", {}, {}, parent.run_id) as child:
         pass
     assert client.get_run(child.run_id).data.tags["mlflow.parentRunId"] == parent.run_id
     for error, status in ((RuntimeError, "FAILED"), (KeyboardInterrupt, "KILLED")):
-        with pytest.raises(error), tracking.run(store, "broken", {}, {}) as run:
+        with pytest.raises(error), runs.run(store, "broken", {}, {}) as run:
             raise error
         assert client.get_run(run.run_id).info.status == status
     assert mlflow.active_run() is None
 
 
 def test_first_model_is_champion_and_only_a_better_one_follows(store, dataset, poor, good):
-    with pytest.raises(tracking.ChampionError, match=r"no usable model models:/container-object-likelihood@champion"):
-        tracking.load_registered(store)
+    with pytest.raises(registry.ChampionError, match=r"no usable model models:/container-object-likelihood@champion"):
+        registry.load_registered(store)
     first = register(store, poor, dataset)
-    assert first == tracking.Registration("1", True, "promoted: the first model")
+    assert first == registry.Registration("1", True, "promoted: the first model")
     second = register(store, good, dataset)
     numbers = (
         f"log loss {good.metrics['test']['log_loss']:.5f} against {poor.metrics['test']['log_loss']:.5f} of version 1"
     )
-    assert second == tracking.Registration("2", True, f"promoted: {numbers} on the same 40 test homes")
+    assert second == registry.Registration("2", True, f"promoted: {numbers} on the same 40 test homes")
     third = register(store, poor, dataset)
     assert not third.promoted and third.reason.startswith("refused: log loss")
     assert not register(store, good, dataset).promoted
-    champion = tracking.load_registered(store)
+    champion = registry.load_registered(store)
     assert champion.version == "2"
     assert champion.training_homes == {*dataset.manifest.split["train"], *dataset.manifest.split["validation"]}
     assert np.array_equal(champion.model.predict(NAMES), good.model.predict(NAMES))
 
-    tracking.set_champion(store, "1")
-    assert tracking.load_registered(store).version == "1"
-    assert tracking.load_registered(store, f"models:/{tracking.MODEL_NAME}/2").version == "2"
-    with pytest.raises(tracking.ChampionError, match="no usable model models:/container-object-likelihood/99"):
-        tracking.set_champion(store, "99")
-    assert tracking.load_registered(store).version == "1"
+    registry.set_champion(store, "1")
+    assert registry.load_registered(store).version == "1"
+    assert registry.load_registered(store, f"models:/{registry.MODEL_NAME}/2").version == "2"
+    with pytest.raises(registry.ChampionError, match="no usable model models:/container-object-likelihood/99"):
+        registry.set_champion(store, "99")
+    assert registry.load_registered(store).version == "1"
 
 
 def test_champion_is_not_judged_on_homes_it_was_trained_on(store, homes, dataset, poor, good):
@@ -216,13 +216,13 @@ print(json.dumps(model.predict(pd.read_json({str(tmp_path / "names.json")!r})).t
 
 def test_stored_model_has_a_signature_an_example_its_requirements_and_no_pickle(store, dataset, good):
     register(store, good, dataset)
-    info = mlflow.models.get_model_info(tracking.CHAMPION_URI)
+    info = mlflow.models.get_model_info(registry.CHAMPION_URI)
     assert [(column.name, column.type.name) for column in info.signature.inputs] == [
         ("object", "string"),
         ("container", "string"),
         ("room", "string"),
     ]
-    folder = Path(mlflow.artifacts.download_artifacts(artifact_uri=tracking.CHAMPION_URI))
+    folder = Path(mlflow.artifacts.download_artifacts(artifact_uri=registry.CHAMPION_URI))
     files = [path for path in folder.rglob("*") if path.is_file()]
     assert {"requirements.txt", "input_example.json", "likelihood_pyfunc.py", "MLmodel"} <= {
         path.name for path in files
@@ -242,11 +242,11 @@ def test_damaged_champion_is_refused_and_makes_way(store, dataset, good, poor, d
         (folder / "counts.csv").write_bytes((folder / "counts.csv").read_bytes()[:-10])
     else:
         (folder / "model.json").write_text("{")
-    with pytest.raises(tracking.ChampionError, match=r"@champion \(version 1\) is damaged: .*model"):
-        tracking.load_registered(store)
+    with pytest.raises(registry.ChampionError, match=r"@champion \(version 1\) is damaged: .*model"):
+        registry.load_registered(store)
     second = register(store, poor, dataset)
     assert second.promoted and second.reason.startswith("promoted: the present champion cannot be used")
-    assert tracking.load_registered(store).version == "2"
+    assert registry.load_registered(store).version == "2"
 
 
 def test_champion_of_another_signature_is_refused(store, tmp_path):
@@ -258,18 +258,18 @@ def test_champion_of_another_signature_is_refused(store, tmp_path):
         "mlflow.models.set_model(Other())\n"
     )
     signature = mlflow.models.infer_signature(pd.DataFrame({"x": [1.0]}), np.zeros(1))
-    with tracking.run(store, "other", {}, {}) as run:
+    with runs.run(store, "other", {}, {}) as run:
         info = mlflow.pyfunc.log_model(
             name="model", python_model=str(tmp_path / "other.py"), signature=signature, pip_requirements=["mlflow"]
         )
         client = mlflow.MlflowClient()
-        client.create_registered_model(tracking.MODEL_NAME)
-        client.create_model_version(tracking.MODEL_NAME, info.model_uri, run.run_id)
-        client.set_registered_model_alias(tracking.MODEL_NAME, "champion", "1")
+        client.create_registered_model(registry.MODEL_NAME)
+        client.create_model_version(registry.MODEL_NAME, info.model_uri, run.run_id)
+        client.set_registered_model_alias(registry.MODEL_NAME, "champion", "1")
     with pytest.raises(
-        tracking.ChampionError, match=r"\(version 1\) is no container-object likelihood: its inputs are .*x"
+        registry.ChampionError, match=r"\(version 1\) is no container-object likelihood: its inputs are .*x"
     ):
-        tracking.load_registered(store)
+        registry.load_registered(store)
 
 
 def test_two_trainings_at_once_lose_nothing(dataset, tmp_path):
@@ -279,15 +279,15 @@ def test_two_trainings_at_once_lose_nothing(dataset, tmp_path):
     script.write_text(f"""
 import sys
 from pathlib import Path
-from pipeline.backends import tracking
+from pipeline.backends import registry, runs
 from mrtask.likelihood.dataset import read_dataset
 from mrtask.likelihood.training import TrainingOptions, train_model
-store = tracking.open_tracking("sqlite:///{tmp_path}/mlflow.db", "mrtask")
+store = runs.open_tracking("sqlite:///{tmp_path}/mlflow.db", "mrtask")
 dataset = read_dataset(Path({str(tmp_path / "rows")!r}))
 for smoothing in map(float, sys.argv[1:]):
     trained = train_model(dataset, TrainingOptions("frequency", smoothing=smoothing))
-    with tracking.run(store, "train", {{}}, {{}}) as run:
-        tracking.register_model(run, trained, dataset)
+    with runs.run(store, "train", {{}}, {{}}) as run:
+        registry.register_model(run, trained, dataset)
 """)
     strengths = [["900", "4"], ["300", "12"]]
     both = [
@@ -297,10 +297,10 @@ for smoothing in map(float, sys.argv[1:]):
     assert [(*process.communicate(), process.returncode) for process in both] == [("", "", 0)] * 2
     store, losses = open_in(tmp_path), {}
     for version in range(1, 5):
-        model = tracking.load_registered(store, f"models:/{tracking.MODEL_NAME}/{version}").model
-        losses[str(version)] = tracking.score(model, dataset.triples("test"))["log_loss"]
+        model = registry.load_registered(store, f"models:/{registry.MODEL_NAME}/{version}").model
+        losses[str(version)] = registry.score(model, dataset.triples("test"))["log_loss"]
     assert len(set(losses.values())) == 4
-    assert tracking.load_registered(store).version == min(losses, key=lambda version: losses[version])
+    assert registry.load_registered(store).version == min(losses, key=lambda version: losses[version])
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,9 @@ from mrtask.likelihood.options import TrainingOptions
 from mrtask.planning.paper.planner import PaperOptions
 from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
-from pipeline import train
-from pipeline.app.main import CONF_DIR
-from pipeline.base.config import UserError, content_hash, load
+from pipeline.base.config import CONF_DIR, UserError, content_hash, load
 from pipeline.base.sections import ModelKind
+from pipeline.inputs.training import training
 from tests.pipeline.configured import composed_by_hydra, configured
 
 CHOICES = sorted(path for path in CONF_DIR.glob("*/*.yaml") if len(list(path.parent.glob("*.yaml"))) > 1)
@@ -102,7 +101,7 @@ def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: l
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
     planners = "evaluation.planners=[tests.pipeline.own_planners.Gated]"
     config = configured(planners, "+planner.Gated.gate=there")
-    assert config.planner_options("tests.pipeline.own_planners.Gated") == {"gate": "there"}
+    assert config.spec("tests.pipeline.own_planners.Gated").options == {"gate": "there"}
     with pytest.raises(UserError, match=r"own_planners\.Gated.*door"):
         configured(planners, "+planner.Gated.door=there")
 
@@ -112,7 +111,7 @@ def test_model_kinds_and_training_options_fit_the_library() -> None:
     for kind in KINDS:
         assert configured(f"model={kind}").model.kind == kind
     config = configured("model=mlp", "seed=3", "trainer.max_epochs=7")
-    options = train.training_options(config.model, config.trainer, config.seed, config.cache_dir)
+    options = training(config).options()
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
 
@@ -125,8 +124,8 @@ def test_content_hash_depends_on_values_not_on_order() -> None:
 def test_a_variant_has_its_planners_options_but_for_its_own() -> None:
     variant = "+planner_variants.still={planner: pouct, options: {reassign: free}}"
     config = configured(variant, "evaluation.planners=[pouct,still]", "planner.pouct.samples=7")
-    assert config.planner_options("still") == config.planner_options("pouct") | {"reassign": "free"}
-    assert (config.planner_behind("still"), config.planner_behind("pouct")) == ("pouct", "pouct")
+    assert config.spec("still").options == config.spec("pouct").options | {"reassign": "free"}
+    assert (config.spec("still").planner, config.spec("pouct").planner) == ("pouct", "pouct")
     with pytest.raises(UserError, match=r"planner_variants.greedy: is a planner's own name"):
         configured("+planner_variants.greedy={planner: pouct, options: {}}")
     with pytest.raises(UserError, match=r"planner_variants.still: planner 'pouct' refuses its options.*pace"):

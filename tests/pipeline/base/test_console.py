@@ -6,7 +6,7 @@ from pipeline.base import console
 
 
 class Clock:
-    """A clock that goes on when it is told to."""
+    """A clock that advances on demand."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
@@ -25,5 +25,5 @@ def test_time_left_does_not_count_what_passed_before_the_first_result(
         clock.now_s += 1.0
         progress.update()  # too soon after the last line
     said = capsys.readouterr().out.splitlines()
-    # Ten in the 20 s since the first: 0.5 a second for the 49 that are left.
+    # Ten in the 20 s since the first: 0.5 a second for the remaining 49.
     assert said == ["   41/100 homes", "   51/100 homes, 0.5/s, 1 min 38 s left, all well"]

@@ -24,7 +24,7 @@ def test_robots_see_all_there_is_unless_the_configuration_says_otherwise() -> No
         (["perception.false_positive_prob=1.0"], "a detection says nothing"),
         (["+perception.objects.Mug={true_positive_prob: 0.0, false_positive_prob: 0.0}"], "a detection says nothing"),
         (["+perception.objects.Mug={hits: 0.5}"], "perception.objects.Mug.true_positive_prob: a value is needed"),
-        (["perception.true_positive_prob=0.9", "belief.adapt=true"], "belief.adapt=true: learns from what searches"),
+        (["perception.true_positive_prob=0.9", "belief.adapt=true"], "belief.adapt=true: takes what searches"),
     ],
 )
 def test_mistakes_are_refused(overrides: list[str], said: str) -> None:

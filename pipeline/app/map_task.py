@@ -1,4 +1,4 @@
-"""The options that tools on one given map share, and what comes of them: the home, its map, the likelihood model."""
+"""The options that tools on one map share, and what they lead to: the home, its map, the likelihood model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +14,7 @@ from mrtask.likelihood.model import LikelihoodModel
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
-from pipeline.app.tool import CONF_DIR
-from pipeline.base.config import UserError
+from pipeline.base.config import CONF_DIR, UserError
 
 SCENARIOS = CONF_DIR / "scenario"
 CATALOGUE, UNIFORM = "catalogue", "uniform"
@@ -31,8 +30,8 @@ def _existing(path: Path) -> Path:
     return path
 
 
-class Given(BaseModel):
-    """A map, a task in words and a team: ``conf/scenario.yaml`` says what each key is."""
+class MapTask(BaseModel):
+    """A map, a task in words and a team; ``conf/scenario.yaml`` explains each key."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
@@ -64,26 +63,25 @@ class Given(BaseModel):
 
     @property
     def spec(self) -> RobotSpec:
-        """What the robots are like."""
+        """The robots' speed and times."""
         return RobotSpec(self.speed_m_per_s, self.search_time_s, self.interact_time_s)
 
     def map_of(self, home: Home) -> HomeMap:
-        """The home's map, from the cache where it is there."""
+        """Return the home's map, from the cache if it is there."""
         return cached_map(home, default_cache_dir() / "maps", self.resolution_m, self.robot_radius_m)
 
     def model(self) -> LikelihoodModel | None:
-        """The likelihood model, None for ``uniform``; raises `InputError` where a registered one cannot be used."""
+        """Return the likelihood model, None for ``uniform``; raises `InputError` where a registered one is unusable."""
         if self.likelihood == UNIFORM:
             return None
         if self.likelihood == CATALOGUE:
             return catalogue_model()
-        from pipeline.backends import tracking  # MLflow takes seconds to import
+        from pipeline.backends import registry, runs  # MLflow takes seconds to import
 
-        store = tracking.open_tracking(self.tracking_uri, "mrtask")
-        return tracking.load_registered(store, self.likelihood).model
+        return registry.load_registered(runs.open_tracking(self.tracking_uri, "mrtask"), self.likelihood).model
 
 
-class GivenTrial(Given):
+class ScenarioOptions(MapTask):
     """The options of `pipeline.scenario`."""
 
     robots: int = Field(ge=1)
@@ -106,19 +104,19 @@ class GivenTrial(Given):
         return self
 
     def options_of(self, planner: str) -> dict[str, Any]:
-        """The options of a planner; those of one's own stand under its class's name."""
+        """Return the options of a planner; those of a planner of your own stand under its class's name."""
         return self.planner.get(planner.rsplit(".", 1)[-1], {})
 
 
 def scenario_names() -> list[str]:
-    """The scenarios that come with the project."""
+    """Return the names of the scenarios that come with the project."""
     return sorted(path.parent.name for path in SCENARIOS.glob("*/scenario.yaml"))
 
 
 def scenario_files(given: dict[str, Any], defaults: str) -> Sequence[Path]:
-    """The files with the options' defaults: ``conf/<defaults>``, then those of the scenario that ``name`` asks for.
+    """Return the files with the options' defaults: ``conf/<defaults>``, then those of the scenario called ``name``.
 
-    ``given`` gets the paths of the scenario's map and containers, unless it has others.
+    This adds the paths of the scenario's map and containers to ``given``, unless it has others.
 
     Raises:
         UserError: there is no such scenario.

@@ -5,7 +5,7 @@ from scipy.special import logit
 
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.homes.contents import draw_objects, object_probs
-from mrtask.likelihood.given import GivenOptions, given_likelihood
+from mrtask.likelihood.choice import LikelihoodChoice, chosen_likelihood
 from mrtask.likelihood.rows import TRIPLE, distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
 
@@ -14,30 +14,30 @@ KINDS = [("Bed", "Bedroom"), ("Sofa", "LivingRoom"), ("Bed", "Bedroom")]
 
 
 def test_likelihoods_go_from_what_they_are_to_knowing_nothing_of_where():
-    np.testing.assert_array_equal(given_likelihood(LIKELIHOOD, KINDS, GivenOptions(), 1), LIKELIHOOD)
-    whole = given_likelihood(LIKELIHOOD, KINDS, GivenOptions(uniform_mix=1.0), 1)
+    np.testing.assert_array_equal(chosen_likelihood(LIKELIHOOD, KINDS, LikelihoodChoice(), 1), LIKELIHOOD)
+    whole = chosen_likelihood(LIKELIHOOD, KINDS, LikelihoodChoice(uniform_mix=1.0), 1)
     np.testing.assert_allclose(whole, [[0.4, 0.35]] * 3)
-    half = given_likelihood(LIKELIHOOD, KINDS, GivenOptions(uniform_mix=0.5), 1)
+    half = chosen_likelihood(LIKELIHOOD, KINDS, LikelihoodChoice(uniform_mix=0.5), 1)
     np.testing.assert_allclose(half, (LIKELIHOOD + whole) / 2)
 
 
 def test_noise_is_one_error_in_log_odds_for_each_object_and_kind():
-    options = GivenOptions(noise_sd=2.0)
+    options = LikelihoodChoice(noise_sd=2.0)
     errors = np.array(
-        [logit(given_likelihood(LIKELIHOOD, KINDS, options, seed)) - logit(LIKELIHOOD) for seed in range(2000)]
+        [logit(chosen_likelihood(LIKELIHOOD, KINDS, options, seed)) - logit(LIKELIHOOD) for seed in range(2000)]
     )
     np.testing.assert_allclose(errors[:, 0], errors[:, 2], atol=1e-9)
     independent = errors[:, :2].reshape(len(errors), -1)
     np.testing.assert_allclose(np.cov(independent.T), 4 * np.eye(4), atol=0.5)
     np.testing.assert_allclose(independent.mean(axis=0), 0, atol=0.2)
-    first = given_likelihood(LIKELIHOOD[:, :1], KINDS, options, 7)
-    np.testing.assert_array_equal(first, given_likelihood(LIKELIHOOD, KINDS, options, 7)[:, :1])
+    first = chosen_likelihood(LIKELIHOOD[:, :1], KINDS, options, 7)
+    np.testing.assert_array_equal(first, chosen_likelihood(LIKELIHOOD, KINDS, options, 7)[:, :1])
 
 
 @pytest.mark.parametrize("options", [{"source": "oracle"}, {"uniform_mix": 1.1}, {"noise_sd": -1.0}])
 def test_options_that_make_no_sense_are_refused(options):
     with pytest.raises(ValueError, match=next(iter(options))):
-        GivenOptions(**options)
+        LikelihoodChoice(**options)
 
 
 def test_the_generators_likelihoods_are_how_often_it_draws_each_object():

@@ -1,0 +1,56 @@
+"""Draws floor plans of some homes of a set, and galleries of them, as PNG and SVG."""
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home
+from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.maps.home_map import HomeMap
+from pipeline.base import console
+from pipeline.store.folder import Folder
+from pipeline.store.home_files import HomeSource, distinct_layouts
+from pipeline.store.maps import MapOptions
+
+DRAWN_PER_CLASS = 4
+GALLERY = "gallery"
+
+
+def draw(source: HomeSource, title: str, maps: MapOptions, target: Folder) -> None:
+    """Draw some homes of each size class, and a gallery of them called ``title``."""
+    began_s = time.monotonic()
+    mapped = _examples(source, maps)
+    console.headline("drawing", f"{len(mapped)} homes")
+    with console.Progress(len(mapped), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
+        for home, home_map in mapped:
+            figure = Figure(figsize=(8, 8), layout="constrained")
+            draw_home(home, home_map, figure.subplots())
+            _save(figure, Path(temporary), f"{home.size_class}-{home.id}", dpi=150)
+            progress.update()
+        _save(draw_gallery({title: mapped}), Path(temporary), GALLERY, dpi=100)
+        target.upload(Path(temporary))
+    console.result(target, time.monotonic() - began_s)
+
+
+def draw_side_by_side(sources: Mapping[str, HomeSource], maps: MapOptions, target: Folder) -> None:
+    """Draw one gallery with a column of homes for each source, under its title."""
+    with tempfile.TemporaryDirectory() as temporary:
+        columns = {title: _examples(source, maps) for title, source in sources.items()}
+        _save(draw_gallery(columns), Path(temporary), GALLERY, dpi=100)
+        target.upload(Path(temporary))
+    console.line(f"-> {target / GALLERY}.png")
+
+
+def _examples(source: HomeSource, maps: MapOptions) -> Sequence[tuple[Home, HomeMap]]:
+    """Return the first few homes of each size class, each of another layout, with their maps."""
+    layouts = distinct_layouts(source.read())
+    chosen = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    return [(home, maps.map_of(home)) for home in chosen]
+
+
+def _save(figure: Figure, folder: Path, name: str, dpi: int) -> None:
+    for kind in ("png", "svg"):
+        figure.savefig(folder / f"{name}.{kind}", dpi=dpi)
