@@ -30,7 +30,8 @@ from mrtask.analysis.page.style import (
     planner_label,
     robot_color,
 )
-from mrtask.analysis.results.statistics import BASELINES, INFORMED_BASELINE, paired_costs
+from mrtask.analysis.results.roles import BASELINES, INFORMED_BASELINE
+from mrtask.analysis.results.statistics import paired_costs
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 

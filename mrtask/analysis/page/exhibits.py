@@ -7,8 +7,8 @@ from functools import cached_property
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from mrtask.analysis.page.columns import Table
 from mrtask.analysis.page.style import data_uri, pdf_bytes, svg_bytes
+from mrtask.analysis.page.tables import Table
 
 TABLES, FIGURES = "tables", "figures"
 """The folders beside the page."""

@@ -8,20 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.page import Findings
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import (
-    BASELINES,
-    EVERYTHING,
-    INFORMED_BASELINE,
-    MIN_TRIALS_FOR_INTERVAL,
-    REFERENCES,
-    Cell,
-    Estimate,
-    Summary,
-    cell_name,
-)
+from mrtask.analysis.results.roles import BASELINES, INFORMED_BASELINE, REFERENCES
+from mrtask.analysis.results.statistics import EVERYTHING, MIN_TRIALS_FOR_INTERVAL, Cell, Estimate, Summary, cell_name
 from mrtask.names import counted
 
 MIN_PAIRS = 30

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.columns import Column, Table, make_table
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.results.roles import REFERENCES
 from mrtask.analysis.results.statistics import (
-    REFERENCES,
     UNDEFINED,
     Comparison,
     Estimate,

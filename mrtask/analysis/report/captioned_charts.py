@@ -10,7 +10,7 @@ from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report import cost_profiles, result_charts, search_curves, template_charts
 from mrtask.analysis.report.by_template import TemplateResult
 from mrtask.analysis.report.report_data import ReportData
-from mrtask.analysis.results.statistics import BASELINES, RULE
+from mrtask.analysis.results.roles import BASELINES, RULE
 from mrtask.names import counted
 
 

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from mrtask.analysis.page.columns import Column, Table, make_table
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.page.style import house_style, new_figure, planner_label, planner_looks
 from mrtask.analysis.results.episodes import size_classes_in_order
 from mrtask.analysis.results.statistics import Floats, Summary, paired_costs

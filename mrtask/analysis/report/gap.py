@@ -23,14 +23,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from mrtask.analysis.page.columns import Entry, Row, Table, interval_text
-from mrtask.analysis.page.entries import percent_entry
+from mrtask.analysis.page.tables import Entry, Row, Table, interval_text
+from mrtask.analysis.page.tables import percent_entry
 from mrtask.analysis.page.style import BLACK, BLUE, GREY, NOTHING, ORANGE, house_style, new_figure, planner_label
 from mrtask.analysis.results.optimality import CellOptimality
+from mrtask.analysis.results.roles import KNOWN
 from mrtask.analysis.results.statistics import (
     ALL_TEAMS,
     EVERYTHING,
-    KNOWN,
     Bootstrap,
     Cell,
     Estimate,

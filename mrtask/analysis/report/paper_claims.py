@@ -12,17 +12,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from mrtask.analysis.page.columns import Entry, Row, Table
+from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.coordination import Coordination
 from mrtask.analysis.report.real_world import scenario_name, simulated_trials
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.wins import share
 from mrtask.analysis.results.published import Cell, Published, RealWorldTrial
+from mrtask.analysis.results.roles import BASELINES, REFERENCES
 from mrtask.analysis.results.statistics import (
-    BASELINES,
     CONFIDENCE,
-    REFERENCES,
     SEED,
     Bootstrap,
     Estimate,

@@ -9,20 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.columns import Column, Table, make_table
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.page.style import planner_label, seconds
 from mrtask.analysis.results.episodes import Variant
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import (
-    BASELINES,
-    EVERYTHING,
-    KNOWN,
-    REFERENCES,
-    Cell,
-    Comparison,
-    PlannerCell,
-    Summary,
-)
+from mrtask.analysis.results.roles import BASELINES, KNOWN, REFERENCES
+from mrtask.analysis.results.statistics import EVERYTHING, Cell, Comparison, PlannerCell, Summary
 from mrtask.planning.planners import PAPERS_PLANNER, published_counterpart
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import pandas as pd
 
 from mrtask.analysis.drawing.trajectories import Pick
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.page import Findings
 from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
 from mrtask.analysis.report.linked_replays import Replays, play
@@ -17,7 +17,8 @@ from mrtask.analysis.report.trial_browser import compared_planners, notable_tria
 from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.published import Published, load_published
-from mrtask.analysis.results.statistics import Summary, main_planner, summarise
+from mrtask.analysis.results.roles import main_planner
+from mrtask.analysis.results.statistics import Summary, summarise
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
 

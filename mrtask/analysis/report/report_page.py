@@ -14,14 +14,14 @@ from markupsafe import Markup
 
 from mrtask.analysis.page.exhibits import Content
 from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.page.templating import render_fragment, script_digest, template_text
+from mrtask.analysis.page.page import render_fragment, script_digest, template_text
 from mrtask.analysis.report.for_papers import paper_files
 from mrtask.analysis.report.planner_table import result_table
 from mrtask.analysis.report.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.report.sections import SECTIONS, Section
 from mrtask.analysis.report.trial_browser import compared_planners, mapped_trials
 from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.results.roles import main_planner
 from mrtask.files import replacing
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER

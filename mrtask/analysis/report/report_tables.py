@@ -6,23 +6,15 @@ against reference in `mrtask.analysis.report.wins`.
 
 from collections.abc import Mapping, Sequence
 
-from mrtask.analysis.page.columns import Column, Entry, Row, Table, interval_text, make_table
-from mrtask.analysis.page.entries import cell_headings, improvement_entry, percent_entry
+from mrtask.analysis.page.tables import Column, Entry, Row, Table, interval_text, make_table
+from mrtask.analysis.page.tables import cell_headings, improvement_entry, percent_entry
 from mrtask.analysis.page.style import NOTHING, planner_label
 from mrtask.analysis.report.planner_table import published_name
 from mrtask.analysis.results.episodes import Variant
 from mrtask.analysis.results.optimality import CellOptimality
 from mrtask.analysis.results.published import Published, RealWorldTrial
-from mrtask.analysis.results.statistics import (
-    BASELINES,
-    EVERYTHING,
-    INFORMED_BASELINE,
-    KNOWN,
-    Cell,
-    Estimate,
-    Summary,
-    cell_name,
-)
+from mrtask.analysis.results.roles import BASELINES, INFORMED_BASELINE, KNOWN
+from mrtask.analysis.results.statistics import EVERYTHING, Cell, Estimate, Summary, cell_name
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.names import counted
 from mrtask.planning.planners import published_counterpart

@@ -27,7 +27,8 @@ from mrtask.analysis.page.style import (
 )
 from mrtask.analysis.results.episodes import Variant
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import ALL_TEAMS, KNOWN, Cell, Estimate, Floats, Summary, paired_costs
+from mrtask.analysis.results.roles import KNOWN
+from mrtask.analysis.results.statistics import ALL_TEAMS, Cell, Estimate, Floats, Summary, paired_costs
 from mrtask.names import counted
 
 WIDTH_IN = 10.5

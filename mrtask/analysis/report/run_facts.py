@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.page.columns import Column, Entry, Row, Table, make_table
+from mrtask.analysis.page.tables import Column, Entry, Row, Table, make_table
 from mrtask.analysis.page.style import NOTHING, planner_label, seconds
 
 Manifest = Mapping[str, Any]

@@ -14,16 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
 from mrtask.analysis.page.style import BLACK, GREY, house_style, new_figure, planner_label, planner_looks, seconds
-from mrtask.analysis.results.statistics import (
-    INFORMED_BASELINE,
-    KNOWN,
-    REFERENCES,
-    RULE,
-    Bootstrap,
-    Estimate,
-    Floats,
-    improvement_of_means,
-)
+from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES, RULE
+from mrtask.analysis.results.statistics import Bootstrap, Estimate, Floats, improvement_of_means
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 

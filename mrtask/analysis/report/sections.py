@@ -13,11 +13,11 @@ import pandas as pd
 from mrtask.analysis.drawing.replay_content import task_in_words
 from mrtask.analysis.drawing.trajectories import task_objects
 from mrtask.analysis.page import entries
-from mrtask.analysis.page.columns import Entry, Row, Table
+from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.page.exhibits import Content, Picture, ShownTable
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.page import Findings
 from mrtask.analysis.page.style import NOTHING, planner_label, robot_color
-from mrtask.analysis.page.templating import render_fragment
+from mrtask.analysis.page.page import render_fragment
 from mrtask.analysis.report import (
     captioned_charts,
     cost_profiles,
@@ -43,7 +43,8 @@ from mrtask.analysis.report.trial_browser import (
     place,
 )
 from mrtask.analysis.report.wins import pair_table
-from mrtask.analysis.results.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, main_planner
+from mrtask.analysis.results.roles import BASELINES, main_planner
+from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from mrtask.analysis.page.style import (
 )
 from mrtask.analysis.report.by_template import TemplateResult
 from mrtask.analysis.report.wins import compared_cells
-from mrtask.analysis.results.statistics import ALL_CLASSES, REFERENCES, Comparison, Summary, cell_name
+from mrtask.analysis.results.roles import REFERENCES
+from mrtask.analysis.results.statistics import ALL_CLASSES, Comparison, Summary, cell_name
 
 WIDTH_IN = 10.5
 ROW_IN = 0.27

@@ -7,13 +7,13 @@ ties out too (both SciPy's). They ask how often, not by how much: a planner may 
 import numpy as np
 from scipy.stats import binomtest
 
-from mrtask.analysis.page.columns import Column, Table, make_table
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.page.style import NOTHING, planner_label
+from mrtask.analysis.results.roles import REFERENCES
 from mrtask.analysis.results.statistics import (
     ALL_TEAMS,
     CONFIDENCE,
     EVERYTHING,
-    REFERENCES,
     UNDEFINED,
     Cell,
     Comparison,

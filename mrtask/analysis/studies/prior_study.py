@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from mrtask.analysis.results.episodes import checked_episodes, size_classes_in_order
+from mrtask.analysis.results.roles import main_planner
 from mrtask.analysis.results.statistics import (
     EVERYTHING,
     UNDEFINED,
@@ -19,7 +20,6 @@ from mrtask.analysis.results.statistics import (
     Estimate,
     Floats,
     improvement_of_means,
-    main_planner,
 )
 from mrtask.analysis.studies.calibration import Calibration, calibration, change, mean_loss
 
@@ -118,8 +118,7 @@ class PriorStudy:
 
     def above(self, costs: pd.Series, reference: pd.Series, trials: "pd.Series | None" = None) -> Estimate:
         """By how much the costs are above the reference's, in percent."""
-        saved = self.saved(costs, reference, trials)
-        return Estimate(-saved.value, -saved.high, -saved.low, saved.n)
+        return negative(self.saved(costs, reference, trials))
 
     def won_back(self, arm: ArmRows, without: ArmRows, cell: Cell) -> Estimate:
         """The share in percent of what a prior costs against the best one that adapting wins back."""
@@ -171,6 +170,11 @@ class PriorStudy:
     def _by_home(self, costs: pd.DataFrame, statistic: Callable[[Floats], Floats]) -> Estimate:
         sums = costs.groupby([self.home_of[trial] for trial in costs.index]).sum().to_numpy(dtype=np.float64)
         return Bootstrap(sums).estimate(statistic)
+
+
+def negative(estimate: Estimate) -> Estimate:
+    """The estimate with its sign changed."""
+    return Estimate(-estimate.value, -estimate.high, -estimate.low, estimate.n)
 
 
 def _parts(trial: str) -> tuple[str, str, str]:

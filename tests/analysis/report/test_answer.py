@@ -5,7 +5,8 @@ import pytest
 from mrtask.analysis.report.answer import find, mixture_warnings, partial_results
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.published import load_published
-from mrtask.analysis.results.statistics import main_planner, summarise
+from mrtask.analysis.results.roles import main_planner
+from mrtask.analysis.results.statistics import summarise
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 

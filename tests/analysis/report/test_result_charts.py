@@ -9,7 +9,8 @@ from mrtask.analysis.page.style import planner_label, planner_looks, seconds, sv
 from mrtask.analysis.report import result_charts
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.published import load_published
-from mrtask.analysis.results.statistics import BASELINES, summarise
+from mrtask.analysis.results.roles import BASELINES
+from mrtask.analysis.results.statistics import summarise
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 PUBLISHED = load_published()

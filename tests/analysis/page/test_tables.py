@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mrtask.analysis.page.columns import Column, Entry, make_table
+from mrtask.analysis.page.tables import Column, Entry, make_table
 from mrtask.analysis.results.statistics import UNDEFINED, Estimate
 
 ABOVE, BELOW, AROUND = Estimate(2.0, 1.0, 3.0, 20), Estimate(-2.0, -3.0, -1.0, 20), Estimate(0.5, -1.0, 2.0, 20)
