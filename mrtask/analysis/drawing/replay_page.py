@@ -17,8 +17,8 @@ from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, clear_spot, passage
 from mrtask.analysis.drawing.replay_content import Decision, Replay, Run
 from mrtask.analysis.drawing.sheet import Sheet
 from mrtask.analysis.drawing.trajectories import place_at
-from mrtask.analysis.page.style import ROBOT_COLORS
 from mrtask.analysis.page.page import render_fragment, script_digest, template_text
+from mrtask.analysis.page.style import ROBOT_COLORS
 from mrtask.names import counted
 
 MIN_LABEL_AREA_M2 = 0.3

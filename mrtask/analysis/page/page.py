@@ -25,7 +25,7 @@ class Findings:
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A heading with what stands below it."""
 
     anchor: str
@@ -41,7 +41,7 @@ def render_page(
     title: str,
     question: str,
     findings: Findings,
-    sections: Sequence[Section],
+    sections: Sequence[PageSection],
     episodes: int,
     *,
     warnings: Sequence[str] = (),
@@ -77,10 +77,10 @@ def study_section(
     note: str = "",
     pictures: Sequence[Picture] = (),
     facts: Sequence[tuple[str, str]] = (),
-) -> Section:
+) -> PageSection:
     """A section of tables, a note, pictures and facts; ``corner`` is the heading of the tables' first column."""
     body = render_fragment("study", tables=tables, corner=corner, note=note, pictures=pictures, facts=facts)
-    return Section(anchor, title, body)
+    return PageSection(anchor, title, body)
 
 
 @cache

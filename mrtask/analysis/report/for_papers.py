@@ -8,10 +8,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from mrtask.analysis.page.tables import Entry, Table
-from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL
 from mrtask.analysis.page.exhibits import Content, ShownTable
 from mrtask.analysis.page.style import NOTHING
+from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL, Entry, Table
 
 LATEX_SIGNS = str.maketrans(
     {

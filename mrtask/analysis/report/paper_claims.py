@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.report.coordination import Coordination
 from mrtask.analysis.report.real_world import scenario_name, simulated_trials
 from mrtask.analysis.report.report_data import ReportData

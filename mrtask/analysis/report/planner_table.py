@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.page.style import planner_label, seconds
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.results.episodes import Variant
 from mrtask.analysis.results.published import Published
 from mrtask.analysis.results.roles import BASELINES, KNOWN, REFERENCES

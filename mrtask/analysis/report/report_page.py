@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from markupsafe import Markup
 
 from mrtask.analysis.page.exhibits import Content
+from mrtask.analysis.page.page import PageSection, render_page, template_text
 from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.page.page import render_fragment, script_digest, template_text
 from mrtask.analysis.report.for_papers import paper_files
 from mrtask.analysis.report.planner_table import result_table
 from mrtask.analysis.report.report_data import ReportData, collect_report_data, rows_of, variants_of
@@ -71,7 +70,7 @@ def render_report(
     data = collect_report_data(episodes, manifest, homes, optimality)
     contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
     return Report(
-        render_page(data, contents),
+        _page(data, contents),
         result_table(data.summaries, data.published),
         {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
         | paper_files(list(contents.values())),
@@ -93,32 +92,22 @@ def write_report(report: Report, out_dir: Path) -> Path:
     return out_dir / REPORT_FILE
 
 
-def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
+def _page(data: ReportData, contents: Mapping[Section, Content]) -> str:
     """The HTML page: the answer, then the sections."""
     experiment = data.manifest.get("experiment")
-    sections = [
-        {
-            "anchor": section.anchor,
-            "link": section.link,
-            "title": section.title,
-            "body": content.html,
-            "in_short": content.in_short,
-        }
-        for section, content in contents.items()
-    ]
-    script = template_text("report.js")
-    return render_fragment(
-        "page",
-        script=Markup(script),
-        script_digest=script_digest(script),
-        title=f"mrtask: experiment {experiment}" if experiment else "mrtask: report",
-        question=_question(data.planner),
-        findings=data.findings,
-        warnings=data.warnings,
-        variants=len(data.summaries),
-        shown=data.shown,
-        sections=sections,
+    who = f"the planner {planner_label(data.planner)}" if data.planner else "the learning-informed planner"
+    return render_page(
+        f"mrtask: experiment {experiment}" if experiment else "mrtask: report",
+        f"Does {who} beat the baselines, by how much, and how does that compare with the published results?",
+        data.findings,
+        [
+            PageSection(section.anchor, section.title, content.html, section.link, content.in_short)
+            for section, content in contents.items()
+        ],
         episodes=len(data.episodes),
+        warnings=data.warnings,
+        variants=list(data.summaries),
+        script=template_text("report.js"),
     )
 
 
@@ -134,8 +123,3 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Trial
     papers = [PAPERS_PLANNER] if (rows["planner"] == PAPERS_PLANNER).any() else []
     planners = dict.fromkeys((*compared_planners(rows, planner), *papers))
     return TrialsToDraw(frozenset(trials), frozenset(homes), tuple(planners))
-
-
-def _question(planner: str | None) -> str:
-    who = f"the planner {planner_label(planner)}" if planner else "the learning-informed planner"
-    return f"Does {who} beat the baselines, by how much, and how does that compare with the published results?"

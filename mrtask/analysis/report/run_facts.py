@@ -11,8 +11,8 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.page.tables import Column, Entry, Row, Table, make_table
 from mrtask.analysis.page.style import NOTHING, planner_label, seconds
+from mrtask.analysis.page.tables import Column, Entry, Row, Table, make_table
 
 Manifest = Mapping[str, Any]
 Fact = tuple[str, str]

@@ -5,10 +5,13 @@ ties out too (both SciPy's). They ask how often, not by how much: a planner may 
 """
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from scipy.stats import binomtest
 
-from mrtask.analysis.page.tables import Column, Table, make_table
-from mrtask.analysis.page.style import NOTHING, planner_label
+from mrtask.analysis.page.charts import WIDTH_IN, legend_below, panels, stacked_bars
+from mrtask.analysis.page.style import BLACK, LIGHT_GREY, NOTHING, ORANGE, house_style, planner_label, planner_looks
+from mrtask.analysis.page.tables import Column, Table, cell_label, make_table
 from mrtask.analysis.results.roles import REFERENCES
 from mrtask.analysis.results.statistics import (
     ALL_TEAMS,
@@ -19,8 +22,11 @@ from mrtask.analysis.results.statistics import (
     Comparison,
     Estimate,
     Summary,
-    cell_name,
 )
+
+ROW_IN = 0.27
+MIN_LABELLED_PERCENT = 9.0
+"""Narrower parts of a bar carry no number."""
 
 
 def share_sooner(pair: Comparison) -> Estimate:
@@ -71,13 +77,40 @@ def compared_cells(summary: Summary, planner: str, reference: str) -> list[tuple
 
 
 def pair_table(summary: Summary, planner: str | None) -> Table | None:
-    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, tests; None where there is none."""
+    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, tests; None without a pair."""
     rows: list[str | tuple[str, Comparison]] = []
-    for reference in REFERENCES:
-        lines = [
-            ("all" if cell == EVERYTHING else cell_name(cell), pair)
-            for cell, pair in (compared_cells(summary, planner, reference) if planner is not None else ())
-        ]
-        if lines:
-            rows += [f"against {planner_label(reference)}", *lines]
+    for reference in REFERENCES if planner is not None else ():
+        if pairs := compared_cells(summary, planner, reference):
+            rows += [f"against {planner_label(reference)}", *((cell_label(cell), pair) for cell, pair in pairs)]
     return make_table(PAIR_COLUMNS, rows) if rows else None
+
+
+@house_style()
+def draw_wins(summary: Summary, planner: str) -> Figure | None:
+    """The shares of trials that ``planner`` won, tied and lost, a panel per other planner, a bar per cell."""
+    found = {name: dict(compared_cells(summary, planner, name)) for name in REFERENCES}
+    shown = {name: pairs for name, pairs in found.items() if any(pair.improvement.n for pair in pairs.values())}
+    if not shown:
+        return None
+    present = dict.fromkeys(cell for pairs in shown.values() for cell in pairs)
+    cells = [cell for cell in present if cell == EVERYTHING or cell[1] != ALL_TEAMS]
+    label = planner_label(planner)
+    colors = {f"{label} sooner": planner_looks([planner])[planner][0], "equal": LIGHT_GREY, f"{label} later": ORANGE}
+    figure, (line,) = panels(WIDTH_IN, ROW_IN * len(cells) + 1.2, columns=len(shown), sharey=True)
+    for axes, (reference, pairs) in zip(line, shown.items(), strict=True):
+        bars = {place: pairs[cell] for place, cell in enumerate(cells) if cell in pairs and pairs[cell].improvement.n}
+        shares = np.array([[pair.wins, pair.ties, pair.losses] for pair in bars.values()]).T
+        percent = 100 * shares / shares.sum(axis=0)
+        parts = stacked_bars(axes, list(bars), percent, list(colors.values()), height=0.78)
+        for part, ink in zip(parts, ("white", BLACK, BLACK), strict=True):
+            axes.bar_label(part, fmt=_written, label_type="center", color=ink, fontsize=7)
+        axes.set(title=f"against {planner_label(reference)}", xlabel="trials (%)", xlim=(0, 100))
+        axes.grid(visible=False)
+    line[0].set_yticks(range(len(cells)), list(map(cell_label, cells)))
+    line[0].set_ylim(len(cells) - 0.4, -0.6)
+    legend_below(figure, [Patch(color=color, label=name) for name, color in colors.items()])
+    return figure
+
+
+def _written(percent: float) -> str:
+    return f"{percent:.0f}" if percent >= MIN_LABELLED_PERCENT else ""

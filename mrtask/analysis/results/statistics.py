@@ -113,7 +113,7 @@ class PlannerCell:
 
 @dataclass(frozen=True)
 class Summary:
-    """Everything that tables and figures need of one variant. Cells with `ALL_TEAMS` robots are pooled over team sizes."""
+    """All that tables and figures show of one variant. Cells with `ALL_TEAMS` robots are pooled over team sizes."""
 
     planners: tuple[str, ...]
     size_classes: tuple[str, ...]
@@ -337,19 +337,27 @@ def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame
     return episodes.pivot(index="trial_id", columns="planner", values=column)
 
 
+def decision_s(rows: pd.DataFrame) -> dict[str, float]:
+    """Planner -> its mean planning time per decision, of those for which it was recorded."""
+    if not {"planning_s", "decisions"} <= set(rows.columns):
+        return {}
+    known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()
+    return {str(name): float(value) for name, value in (known["planning_s"] / known["decisions"]).items()}
+
+
 def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
     seconds = paired_costs(rows)
     planners = [name for name in summary.planners if name in seconds.columns]
     # Costs in grid cells stand beside those in seconds, so that one draw of trials serves both.
     costs = PairedCosts(pd.concat([seconds, paired_costs(rows, "cost_cells").add_prefix(IN_CELLS)], axis=1))
     counts = rows.groupby(["planner", "status"]).size().to_dict()
-    mean_s, decision_s = seconds.mean().to_dict(), _decision_s(rows)
+    mean_s, each_decision_s = seconds.mean().to_dict(), decision_s(rows)
     for name in planners:
         summary.planner_cells[cell, name] = PlannerCell(
             counts={status: counts.get((name, status), 0) for status in STATUSES},
             cost_cells=costs.mean(IN_CELLS + name),
             cost_s=mean_s[name],
-            decision_s=decision_s.get(name, float("nan")),
+            decision_s=each_decision_s.get(name, float("nan")),
         )
         for other in REFERENCES:
             if other in planners and other != name:
@@ -357,11 +365,3 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
                 summary.comparisons[cell, name, other] = compare(*pair, costs.improvement(name, other))
         if {INFORMED_BASELINE, KNOWN} <= set(planners) - {name}:
             summary.gaps[cell, name] = costs.estimate(_gap_closed, [name, INFORMED_BASELINE, KNOWN])
-
-
-def _decision_s(rows: pd.DataFrame) -> dict[str, float]:
-    """Seconds of planning by decision of each planner for which they were recorded."""
-    if not {"planning_s", "decisions"} <= set(rows.columns):
-        return {}
-    known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()
-    return {str(name): float(value) for name, value in (known["planning_s"] / known["decisions"]).items()}

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.page import Findings, Section, render_page, study_section
+from mrtask.analysis.page.page import Findings, PageSection, render_page, study_section
 from mrtask.analysis.page.style import NOTHING, planner_label
 from mrtask.analysis.page.tables import (
     ABOVE,
@@ -146,7 +146,7 @@ def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
     )
 
 
-def _section(anchor: str, title: str, table: Table | None, note: str = "", corner: str = "arm") -> list[Section]:
+def _section(anchor: str, title: str, table: Table | None, note: str = "", corner: str = "arm") -> list[PageSection]:
     return [study_section(anchor, title, [table], corner, note)] if table is not None else []
 
 
