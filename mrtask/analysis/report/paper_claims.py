@@ -147,11 +147,15 @@ def _grows_with_size(data: ReportData, planners: Sequence[str]) -> Claim:
 def judge_growth(data: ReportData, planner: str) -> Judged:
     """Whether a planner's improvement over both baselines is clearly larger in each next size class."""
     summary = data.summary
-    if planner not in summary.planners or not set(BASELINES) <= set(summary.planners):
-        missing = [name for name in (planner, *BASELINES) if name not in summary.planners]
+    if missing := [name for name in (planner, *BASELINES) if name not in summary.planners]:
         return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
     classes = [name for name in SIZE_CLASSES if name in summary.size_classes]
-    draws = {name: draw for number, name in enumerate(classes) if (draw := _draw(data, planner, name, SEED + number))}
+    draws = {}
+    for number, name in enumerate(classes):
+        # Trials that the planner and both baselines finished, in this order of columns.
+        costs = paired_costs(data.rows[data.rows["size_class"] == name]).reindex(columns=[planner, *BASELINES]).dropna()
+        if len(costs):
+            draws[name] = Bootstrap(costs.to_numpy(), seed=SEED + number)
     if len(draws) < 2:
         return Judged(Verdict.NOT_IN_RUN, ("homes of fewer than two size classes",))
     steps: list[Estimate] = []
@@ -186,13 +190,6 @@ def improvement_growth(first: Bootstrap, second: Bootstrap, column: int) -> Esti
         return Estimate(value, np.nan, np.nan, n)
     low, high = np.quantile(differences, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Estimate(value, float(low), float(high), n)
-
-
-def _draw(data: ReportData, planner: str, size_class: str, seed: int) -> Bootstrap | None:
-    """Resamples of a size class's trials that the planner and both baselines finished, in this order of columns."""
-    rows = data.rows[data.rows["size_class"] == size_class]
-    costs = paired_costs(rows).reindex(columns=[planner, *BASELINES]).dropna().to_numpy()
-    return Bootstrap(costs, seed=seed) if len(costs) else None
 
 
 def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:
@@ -263,8 +260,7 @@ def _apartment(data: ReportData, planners: Sequence[str], trial: RealWorldTrial)
 
 
 def _not_run(summary: Summary, planner: str, baseline: str) -> Judged:
-    missing = [name for name in (planner, baseline) if name not in summary.planners]
-    if missing:
+    if missing := [name for name in (planner, baseline) if name not in summary.planners]:
         return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
     return Judged(Verdict.NOT_IN_RUN, ("no trial of the paper's cells was finished by both",))
 

@@ -72,8 +72,7 @@ def render_report(
     return Report(
         _page(data, contents),
         result_table(data.summaries, data.published),
-        {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
-        | paper_files(list(contents.values())),
+        data.pages | paper_files(list(contents.values())),
     )
 
 

@@ -295,7 +295,12 @@ def gap_section(data: ReportData) -> Content | None:
 def model_section(data: ReportData) -> Content:
     """What the likelihood model is and how good."""
     title = "The likelihood model on homes held back from training"
-    return _content("model", _table("model", title, data.model.metrics, "metric"), model=data.model)
+    return _content(
+        "model",
+        _table("model", title, run_facts.metric_table(data.manifest), "metric"),
+        facts=run_facts.model_facts(data.manifest, data.episodes),
+        warning=run_facts.model_warning(data.manifest),
+    )
 
 
 def homes_section(data: ReportData) -> Content:

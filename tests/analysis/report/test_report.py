@@ -243,7 +243,7 @@ def test_sweep_is_compared(tmp_path, blank_pictures):
     ],
 )
 def test_warns_of_a_model_that_is_no_better_than_counting(tmp_path, model, beats, blank_pictures):
-    assert beats_frequency(model) is beats
+    assert beats_frequency({"model": model}) is beats
     text = page_of(tmp_path, small(["pouct"]).head(1), {"model": model}).words
     assert ("The likelihood model does not beat the frequency table on held-back homes" in text) == (beats is False)
 
