@@ -17,7 +17,6 @@ runs/<arm>-<key>/     of an ablation, a sensitivity page or priors: one output_d
 beliefs/<arm>.parquet in such a run of priors: what was believed at the beginning of each task
 """
 
-from mrtask.analysis.report.report_page import REPORT_FILE
 from pipeline.store.folder import Folder
 
 IDENTITY = "run.json"
@@ -26,7 +25,7 @@ MANIFEST = "evaluation.json"
 RUN_ID = "mlflow_run_id"
 STAGES = "stages.json"
 REPORT = "report"
-REPORT_INDEX = REPORT_FILE
+REPORT_INDEX = "index.html"
 REPORT_KEY = "manifest.json"
 OPTIMALITY = "optimality.csv"
 HOMES = "homes"

@@ -1,6 +1,6 @@
 """What all charts share: panels, axes, legends, and how estimates are drawn with their intervals."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,14 +39,16 @@ def legend_below(figure: Figure, handles: Sequence[Artist], columns: int | None 
 def planner_handles(planners: Sequence[str], dashed: Collection[str] = ()) -> list[Line2D]:
     """A legend's entry for each planner; those of ``dashed`` are level lines without a marker."""
     looks = planner_looks(planners)
-    lines = {name: {"linestyle": "--"} if name in dashed else {"marker": looks[name][1]} for name in planners}
+    lines: dict[str, dict[str, Any]] = {
+        name: {"linestyle": "--"} if name in dashed else {"marker": looks[name][1]} for name in planners
+    }
     return [Line2D([], [], color=looks[name][0], label=planner_label(name), **lines[name]) for name in planners]
 
 
 def ticks_as(axis: Axis, text: Callable[[float], str], ticks: Sequence[float] | None = None, log: bool = False) -> None:
     """Label an axis with plain numbers, at ``ticks`` where they are given; ``log``: on a logarithmic scale."""
     if log:
-        axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+        axis.axes.set(**{"xscale" if axis is axis.axes.xaxis else "yscale": "log"})
     if ticks is not None:
         axis.set_major_locator(FixedLocator(ticks))
         axis.set_minor_locator(NullLocator())
@@ -62,7 +64,7 @@ def with_band(axes: Axes, places: Sequence[float], estimates: Sequence[Estimate]
 
 
 def with_bars(
-    axes: Axes, places: Sequence[float], estimates: Sequence[Estimate], *, sideways: bool = False, **looks: Any
+    axes: Axes, places: Iterable[float], estimates: Sequence[Estimate], *, sideways: bool = False, **looks: Any
 ) -> None:
     """The defined values with their intervals as bars with caps; ``sideways``: values run from left to right."""
     kept = [(place, each) for place, each in zip(places, estimates, strict=True) if each.defined]

@@ -96,7 +96,7 @@ class ReportData:
     def _played(self) -> tuple[dict[str, str], list[str]]:
         """Trial id -> the page of its replay, and for each pick that cannot be replayed why."""
         pages: dict[str, str] = {}
-        unplayable = []
+        unplayable: list[str] = []
         if not {"trace", "template", "formula", "objects"} <= set(self.rows.columns):
             return pages, unplayable
         planners = compared_planners(self.rows, self.planner)
@@ -112,7 +112,7 @@ class ReportData:
         return pages, unplayable
 
     @property
-    def pages(self) -> Mapping[str, bytes]:
+    def pages(self) -> dict[str, bytes]:
         """Path beside the report -> the page of a replay."""
         return {self.replays[trial_id]: page.encode() for trial_id, page in self._played[0].items()}
 

@@ -25,7 +25,7 @@ from mrtask.files import replacing
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER
 
-REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
+TABLE_FILE = "table.csv"
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def render_report(
     )
 
 
-def write_report(report: Report, out_dir: Path) -> Path:
-    """Writes ``table.csv`` and ``index.html`` into ``out_dir`` and returns the path of the latter.
+def write_report(report: Report, page: Path) -> None:
+    """Write the page to ``page``, and ``table.csv`` and all other files beside it.
 
     An earlier file is replaced only by a whole new one.
 
@@ -85,10 +85,9 @@ def write_report(report: Report, out_dir: Path) -> Path:
         OSError: a file cannot be written.
     """
     table = report.table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (REPORT_FILE, report.page.encode())):
-        with replacing(out_dir / name) as path:
+    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (page.name, report.page.encode())):
+        with replacing(page.parent / name) as path:
             path.write_bytes(content)
-    return out_dir / REPORT_FILE
 
 
 def _page(data: ReportData, contents: Mapping[Section, Content]) -> str:

@@ -151,20 +151,22 @@ def planning_times(episodes: pd.DataFrame, planners: Sequence[str]) -> Figure | 
     rows = episodes[(episodes["decisions"] > 0) & (episodes["planning_s"] > 0)]
     if rows.empty:
         return None
-    times = (rows["planning_s"] / rows["decisions"]).groupby([rows["planner"], rows["robots"]])
+    times: dict[Any, pd.Series] = dict(
+        list((rows["planning_s"] / rows["decisions"]).groupby([rows["planner"], rows["robots"]]))
+    )
     teams = sorted(rows["robots"].unique())
     places = {
         (name, robots): line + 0.8 * (index + 0.5) / len(teams) - 0.4
         for line, name in enumerate(planners)
         for index, robots in enumerate(teams)
     }
-    boxes = [dict(zip(BOX, np.percentile(group, list(BOX.values())), strict=True)) for _, group in times]
+    boxes = [dict(zip(BOX, np.percentile(group, list(BOX.values())), strict=True)) for group in times.values()]
     figure, ((axes,),) = panels(WIDTH_IN, 0.55 * len(planners) + 1.3)
     drawn = axes.bxp(
-        boxes, positions=[places[key] for key in times.groups], widths=0.6 / len(teams), orientation="horizontal",
+        boxes, positions=[places[key] for key in times], widths=0.6 / len(teams), orientation="horizontal",
         showfliers=False, patch_artist=True, manage_ticks=False, medianprops={"color": BLACK},
     )  # fmt: skip
-    for patch, (_, robots) in zip(drawn["boxes"], times.groups, strict=True):
+    for patch, (_, robots) in zip(drawn["boxes"], times, strict=True):
         patch.set(facecolor=robot_color(robots - 1), alpha=0.75)
     ticks_as(axes.xaxis, seconds, log=True)
     axes.set_yticks(range(len(planners)), [planner_label(name) for name in planners])
@@ -182,7 +184,7 @@ def sweep(summaries: Mapping[Variant, Summary], planner: str, baselines: Sequenc
     if not baselines or len(summaries) < 2:
         return None
     classes = list(dict.fromkeys(name for summary in summaries.values() for name in summary.size_classes))
-    looks = {
+    looks: dict[str, dict[str, Any]] = {
         name: {"color": robot_color(i), "marker": CLASS_MARKERS[i % len(CLASS_MARKERS)]}
         for i, name in enumerate(classes)
     }

@@ -160,23 +160,22 @@ def failure_table(episodes: pd.DataFrame) -> Table | None:
         return None
     reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
     grouped = rows.assign(reason=reasons).groupby(["status", "reason"])
-    found = [(len(group), *map(str, key), group) for key, group in grouped]
-    found.sort(key=lambda failure: (-failure[0], *failure[1:3]))
+    found = sorted(grouped, key=lambda failure: (-len(failure[1]), failure[0]))
     lines = [
         Row(
-            reason or "no reason given",
+            str(reason) or "no reason given",
             (
-                Entry(status),
-                Entry(str(count)),
+                Entry(str(status)),
+                Entry(str(len(group))),
                 Entry(str(group["trial_id"].nunique())),
                 Entry(", ".join(map(planner_label, sorted(set(group["planner"])))), tone="text"),
                 Entry(min(group["trial_id"])),
             ),
         )
-        for count, status, reason, group in found[:MAX_REASONS]
+        for (status, reason), group in found[:MAX_REASONS]
     ]
     if others := found[MAX_REASONS:]:
-        entries = (Entry(NOTHING), Entry(str(sum(count for count, *_ in others))), *[Entry(NOTHING)] * 3)
+        entries = (Entry(NOTHING), Entry(str(sum(len(group) for _, group in others))), *[Entry(NOTHING)] * 3)
         lines.append(Row(f"{len(others)} other reasons", entries))
     return Table(FAILURE_COLUMNS, tuple(lines))
 

@@ -174,11 +174,11 @@ def worth_by_team(episodes: pd.DataFrame, planner: str, other: str) -> Worth | N
 
 def _costs_by_team(episodes: pd.DataFrame) -> dict[int, PairedCosts]:
     """Team size -> the costs of the trials that all planners finished; in rising order."""
-    planners = list(episodes["planner"].unique())
-    return {
-        int(robots): PairedCosts(paired_costs(rows, "cost_cells").reindex(columns=planners).dropna())
-        for robots, rows in episodes.groupby("robots")
-    }
+    planners, found = list(episodes["planner"].unique()), {}
+    for robots in sorted(map(int, episodes["robots"].unique())):
+        costs = paired_costs(episodes[episodes["robots"] == robots], "cost_cells")
+        found[robots] = PairedCosts(costs.reindex(columns=planners).dropna())
+    return found
 
 
 def _curve(axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: Look) -> None:

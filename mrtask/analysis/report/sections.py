@@ -227,11 +227,12 @@ def distribution_section(data: ReportData) -> Content | None:
 
 def trajectories_section(data: ReportData) -> Content | None:
     """Some episodes, drawn; None where there are no traces or homes."""
-    names = compared_planners(data.rows, data.planner)
     if data.planner is None or "trace" not in data.rows.columns:
         return None
+    names = compared_planners(data.rows, data.planner)
+    beside = names[1] if len(names) > 1 else None
     pictures = []
-    for number, pick in enumerate(instructive_trials(data.rows, *names[:2], home_ids=data.homes.keys()), 1):
+    for number, pick in enumerate(instructive_trials(data.rows, data.planner, beside, data.homes.keys()), 1):
         rows = data.rows[data.rows["trial_id"] == pick.trial_id].to_dict("records")
         trial = {row["planner"]: row for row in rows}
         own = trial[data.planner]

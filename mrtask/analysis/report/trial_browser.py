@@ -177,8 +177,8 @@ def _trial(
 ) -> dict[str, Any]:
     first = next((row for row in found if isinstance(row.get("formula"), str)), found[0])
     by_planner = {row["planner"]: row for row in found}
-    formula, template = first.get("formula"), str(first.get("template"))
-    known = isinstance(formula, str)
+    template = str(first.get("template"))
+    formula = first["formula"] if isinstance(first.get("formula"), str) else ""
     home = homes.get(str(first.get("home_id")))
     traces = {index: by_planner.get(name, {}).get("trace") for index, name in enumerate(planners[:2])}
     paths = {
@@ -191,8 +191,8 @@ def _trial(
         "class": classes.index(first["size_class"]),
         "robots": int(first["robots"]),
         "template": templates.index(template) if template in templates else -1,
-        "task": task_in_words(template, formula, task_objects(first.get("objects"))) if known else "",
-        "formula": formula if known else "",
+        "task": task_in_words(template, formula, task_objects(first.get("objects"))) if formula else "",
+        "formula": formula,
         "cost": [_cost(by_planner.get(name)) for name in planners],
         "status": [str(by_planner[name]["status"]) if name in by_planner else "not run" for name in planners],
         "home": drawn.setdefault(home.id, len(drawn)) if home is not None and paths else -1,

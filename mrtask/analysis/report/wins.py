@@ -79,8 +79,8 @@ def compared_cells(summary: Summary, planner: str, reference: str) -> list[tuple
 def pair_table(summary: Summary, planner: str | None) -> Table | None:
     """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, tests; None without a pair."""
     rows: list[str | tuple[str, Comparison]] = []
-    for reference in REFERENCES if planner is not None else ():
-        if pairs := compared_cells(summary, planner, reference):
+    for reference in REFERENCES:
+        if planner is not None and (pairs := compared_cells(summary, planner, reference)):
             rows += [f"against {planner_label(reference)}", *((cell_label(cell), pair) for cell, pair in pairs)]
     return make_table(PAIR_COLUMNS, rows) if rows else None
 

@@ -45,10 +45,8 @@ class CellOptimality:
 def summarise_optimality(rows: pd.DataFrame) -> list[CellOptimality]:
     """All cells of the rows that `assess` made, by size class and team size."""
     classes = size_classes_in_order(rows["size_class"].unique())
-    found = [
-        _summarise_cell((str(size_class), int(robots)), str(planner), trials)
-        for (size_class, robots, planner), trials in rows.groupby(["size_class", "robots", "planner"])
-    ]
+    groups = rows.groupby(["size_class", "robots", "planner"])
+    found = [_summarise_cell((str(key[0]), int(str(key[1]))), str(key[2]), trials) for key, trials in groups]
     return sorted(found, key=lambda one: (classes.index(one.cell[0]), one.cell[1], one.planner))
 
 

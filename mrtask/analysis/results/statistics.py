@@ -221,7 +221,8 @@ class PairedCosts:
 
     def estimate(self, statistic: Callable[[Floats], Floats], planners: Sequence[object]) -> Estimate:
         """A statistic of these planners' means; one draw of trials serves all statistics that share them."""
-        places = [list(self.costs.columns).index(name) for name in planners]
+        columns: list[object] = list(self.costs.columns)
+        places = [columns.index(name) for name in planners]
         costs = self.costs.to_numpy(dtype=np.float64)
         finished = np.isfinite(costs[:, places]).all(axis=1)
         if (key := finished.tobytes()) not in self._draws:
@@ -314,7 +315,7 @@ def summarise(episodes: pd.DataFrame) -> Summary:
     """All statistics of one variant's checked episodes: by cell, by size class over all teams, and over everything."""
     classes = size_classes_in_order(episodes["size_class"].unique())
     teams = sorted(map(int, episodes["robots"].unique()))
-    parts = {}
+    parts: dict[Cell, pd.DataFrame] = {}
     for size_class in classes:
         of_class = episodes[episodes["size_class"] == size_class]
         parts |= {(size_class, robots): of_class[of_class["robots"] == robots] for robots in teams}

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.page.tables import Table
-from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL
+from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL, Table
 from mrtask.analysis.report.planner_table import planner_table, result_table
 from mrtask.analysis.report.report_tables import paper_table, real_world_table, variant_table
 from mrtask.analysis.report.wins import pair_table
