@@ -1,6 +1,6 @@
-"""Lays out a task's automaton for drawing: states in layers from left to right, only the steps that advance the task.
+"""Lay out a task's automaton for drawing: states in layers from left to right, with the steps that advance the task.
 
-Left out are interactions that change nothing and those that would spoil the task, which no robot makes.
+Interactions that change nothing are left out, and so are those that would spoil the task, which no robot makes.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from mrtask.tasks.automaton import Automaton
 
 MAX_STATES = 40
-"""Larger automata say more in words than in a drawing."""
+"""Larger automata are clearer in words than in a drawing."""
 RADIUS, ROW_GAP, MARGIN = 18.0, 74.0, 26.0
 MIN_LAYER_GAP, CHAR_WIDTH = 110.0, 7.6
 LABEL_AT = 0.42

@@ -1,7 +1,7 @@
-"""An episode to be watched: what each planner's robots did, what the team believed, and why each plan was chosen.
+"""An episode to watch: what each planner's robots did, what the team believed, and why each plan was chosen.
 
-The record is made from an episode's trace, which every row keeps, and from its decisions, which a run of the same
-episode tells to a `Recorder`. Without decisions it still shows the drives, what was found, and the task's progress.
+It is made from an episode's trace, which every row keeps, and from its decisions, which a `Recorder` collects during a
+run of the same episode. Without decisions it still shows the drives, the finds and the task's progress.
 """
 
 import re
@@ -28,7 +28,7 @@ from mrtask.tasks.automaton import Automaton
 from mrtask.tasks.templates import TEMPLATES
 
 MAX_CANDIDATES = 12
-"""Of a decision's candidate actions, the most visited are listed."""
+"""Only the most visited candidate actions of a decision are listed."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Action:
-    """What one robot does after a decision. ``given`` by this decision, or kept from an earlier one."""
+    """What one robot does after a decision; ``new``: by this decision, not an earlier one."""
 
     robot: int
     container: int
     """-1: waits."""
     text: str
-    given: bool
+    new: bool
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Decision:
-    """A decision: what the team believed, what was weighed and what was chosen."""
+    """A decision: the team's belief, the candidates and the choice."""
 
     t_s: float
     belief: FloatArray
@@ -86,11 +86,11 @@ class Decision:
     """Whose candidates are listed; -1 where there are none."""
     candidates: tuple[Candidate, ...]
     unlisted: int
-    """Candidates that are not listed, because they were visited less."""
+    """The number of further candidates, which were visited less."""
     expected_s: float | None
-    """What the planner expected the rest to take; None where it expects nothing."""
+    """The time to go that the planner expected; None where it made no estimate."""
     remaining_s: float | None
-    """What the rest took; None where the task was not finished."""
+    """The time that it then took; None where the task was not finished."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Episode:
-    """What a run of a replay is made from: the row's outcome, its trace, and its decisions if they were recorded."""
+    """The source of a replay's run: the row's outcome, its trace, and its decisions if they were recorded."""
 
     planner: str
     status: str
@@ -204,8 +204,8 @@ def make_replay(
 def existence_belief(presence_prob: FloatArray, searched: BoolArray) -> FloatArray:
     """[C, O] the probability that each container holds each object, given that every object exists somewhere.
 
-    That is the belief of a planner who knows that the task can be done: each container searched in vain makes the
-    others likelier. An object that was found needs no such inference.
+    This is the belief of a planner that knows that the task can be done: each container searched without success makes
+    the others likelier. An object that was found needs no such inference.
     """
     found = ((presence_prob > 0) & searched[:, None]).any(axis=0)
     somewhere = 1.0 - np.prod(np.where(searched[:, None], 1.0, 1.0 - presence_prob), axis=0)
@@ -302,10 +302,10 @@ def _decision(observed: Observed, cost_s: float | None, names: Sequence[str]) ->
 
 
 def _action(
-    robot: int, status: RobotStatus, given: Assignment | None, names: Sequence[str], objects: Sequence[str]
+    robot: int, status: RobotStatus, assigned: Assignment | None, names: Sequence[str], objects: Sequence[str]
 ) -> Action:
-    if given is not None:
-        return Action(robot, given.container, _told(given, names, objects), True)
+    if assigned is not None:
+        return Action(robot, assigned.container, _told(assigned, names, objects), True)
     if status.target >= 0:
         return Action(robot, status.target, f"on to {names[status.target]}", False)
     if status.interacting >= 0:

@@ -1,8 +1,8 @@
-"""The page of a replay: one HTML file with its picture, script and style, that loads nothing from elsewhere.
+"""The page of a replay: one HTML file that contains its picture, script and style and loads nothing.
 
-Everything to be read is in the HTML, laid out here and by ``replay.html.jinja``; the script (``replay.js``) only moves
-what is there and shows the decision of the present time. So it is whole without scripts, and nothing that a home or a
-task is called can become code: text is escaped by the templates, the data block by `script_json`.
+All text is in the HTML, laid out here and by ``replay.html.jinja``; the script (``replay.js``) only moves things and
+shows the decision at the current time. So the page is complete without scripts, and no name of a home or a task can
+become code: the templates escape text, and `script_json` the data block.
 """
 
 import json
@@ -28,11 +28,11 @@ CHART_LEFT, CHART_RIGHT, CHART_TOP, CHART_BOTTOM = 44, 12, 8, 24
 CHART_SLACK, CHART_LEAST_SPAN = 0.15, 0.1
 MIN_TICK_GAP = 14
 EDGE_SHARE = 0.14
-"""Labels this near to a side of the picture run away from it."""
+"""Labels this close to a side of the picture extend away from it."""
 
 
 def render_replay(replay: Replay, command: str | None = None) -> str:
-    """The page; ``command`` makes it again."""
+    """The page; ``command`` is the command that makes it again."""
     script, style = template_text("replay.js"), template_text("replay.css")
     sheet = Sheet.of(replay.home)
     return render_fragment(
@@ -55,13 +55,13 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
 
 
 def script_json(data: object) -> Markup:
-    """JSON to stand in a script element, whatever its strings hold."""
+    """JSON that is safe in a script element, whatever its strings contain."""
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def page_data(replay: Replay, sheet: Sheet) -> dict[str, Any]:
-    """What the script moves, in centimetres of the picture and seconds; beliefs in thousandths by object."""
+    """The data that the script moves, in centimetres of the picture and seconds; beliefs in thousandths by object."""
     place = {container.id: index for index, container in enumerate(replay.home.containers)}
     number = {name: index for index, name in enumerate(replay.objects)}
 
@@ -193,7 +193,7 @@ def _decision_view(decision: Decision, run: Run) -> dict[str, Any]:
 
 
 def _verdict(decision: Decision) -> str | None:
-    """What the planner expected of the rest, against what it came to."""
+    """The time to go that the planner expected, against the time it took."""
     if decision.expected_s is None:
         return None
     expected = f"expected {decision.expected_s:.1f} s to go"
@@ -201,11 +201,11 @@ def _verdict(decision: Decision) -> str | None:
         return f"{expected}; the task was not finished"
     off_s = round(decision.remaining_s, 1) - round(decision.expected_s, 1)
     how = f", {abs(off_s):.1f} s {'more' if off_s > 0 else 'less'}" if off_s else ""
-    return f"{expected}; it came to {abs(decision.remaining_s):.1f} s{how}"
+    return f"{expected}; it took {abs(decision.remaining_s):.1f} s{how}"
 
 
 def _chart(run: Run) -> dict[str, Any] | None:
-    """When the planner expected to finish, as time went on; None where it expects nothing."""
+    """When the planner expected to finish, over time; None where it made no estimates."""
     known = [(one.t_s, one.t_s + one.expected_s) for one in run.decisions if one.expected_s is not None]
     if len(known) < 2:
         return None

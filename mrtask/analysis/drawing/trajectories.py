@@ -1,7 +1,7 @@
-"""Drawn episodes: a home's floor plan with where each robot drove, searched and interacted, planner beside baseline.
+"""Drawings of episodes: a floor plan with each robot's path, searches and interactions, planner beside baseline.
 
-The trials drawn are chosen by rule, not by eye: among those of the largest team, where the planner saved most against
-the baseline, where it saved the median, and where it lost most.
+A rule chooses the trials: among those of the largest team, the one where the planner saved most against the baseline,
+the median one, and the one where it lost most.
 """
 
 import json
@@ -40,7 +40,7 @@ PANEL_WIDTH_IN, MAX_HEIGHT_IN = 5.3, 6.5
 MIN_SHOWN_WAIT_S = 0.5
 MIN_ARROW_M = 0.6
 MIN_LABEL_AREA_M2 = 0.3
-"""Smaller furniture is labelled only where it matters to the episode."""
+"""Smaller furniture is labelled only where it plays a part in the episode."""
 CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center"}
 BACKDROP = {"facecolor": "white", "alpha": 0.55, "linewidth": 0, "pad": 0.6}
 ONE_PLANNER_PICKS = ("the longest", "the median", "the shortest")
@@ -63,7 +63,7 @@ def instructive_trials(
     """The trials of the largest team where ``planner`` saved most seconds against ``baseline``, the median, and fewest.
 
     Without a baseline: the longest, the median and the shortest. Trials of homes outside ``home_ids`` (None: any home)
-    or without traces, where there is a column ``trace``, are passed over for the next in rank.
+    or, if there is a column ``trace``, without traces are skipped in favour of the next in rank.
     """
     if "home_id" not in episodes.columns:
         return []

@@ -1,4 +1,4 @@
-"""What all charts share: panels, axes, legends, and how estimates are drawn with their intervals."""
+"""The common parts of all charts: panels, axes, legends, and estimates with their intervals."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
@@ -20,7 +20,7 @@ Look = tuple[str, str]
 """Colour and marker."""
 
 WIDTH_IN = 10.5
-"""Of a chart as wide as the page."""
+"""The width of a chart that fills the page."""
 LINE: dict[str, Any] = {"markersize": 5, "linewidth": 1.6}
 BAND_ALPHA = 0.15
 
@@ -46,7 +46,7 @@ def planner_handles(planners: Sequence[str], dashed: Collection[str] = ()) -> li
 
 
 def ticks_as(axis: Axis, text: Callable[[float], str], ticks: Sequence[float] | None = None, log: bool = False) -> None:
-    """Label an axis with plain numbers, at ``ticks`` where they are given; ``log``: on a logarithmic scale."""
+    """Label an axis with plain numbers, at ``ticks`` if there are any; ``log``: on a logarithmic scale."""
     if log:
         axis.axes.set(**{"xscale" if axis is axis.axes.xaxis else "yscale": "log"})
     if ticks is not None:

@@ -34,7 +34,7 @@ class PageSection:
     link: str = ""
     """The entry in the navigation; by default the title."""
     in_short: str = ""
-    """What the page's answer says of the section, with a link to it."""
+    """A sentence for the page's answer, with a link to the section."""
 
 
 def render_page(
@@ -101,10 +101,10 @@ def render_fragment(template: str, **values: object) -> Markup:
 
 
 def script_digest(script: str) -> str:
-    """What a page's policy names to let this script run and no other."""
+    """The digest by which a page's security policy allows this script and no other."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
 def template_text(name: str) -> str:
-    """A file of the templates as it is: a script or a style sheet of our own."""
+    """The text of a script or style sheet among the templates."""
     return resources.files("mrtask.analysis.page").joinpath("templates", name).read_text(encoding="utf-8")

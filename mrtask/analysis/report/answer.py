@@ -1,6 +1,6 @@
-"""The answer in words, computed from the data: is the planner better than the baselines, and than was published?
+"""The answer in words, computed from the data: does the planner beat the baselines, and the published results?
 
-Every sentence stays true whatever is missing: planners, cells, finished episodes; and also when the planner loses.
+Every sentence stays true when planners, cells or finished episodes are missing, and when the planner loses.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
 
 
 def partial_results(summary: Summary) -> tuple[str, ...]:
-    """What a reader misses: planners that finished little or nothing, cells that they did not run, a single trial."""
+    """Warnings about missing results: planners that finished few episodes, cells they did not run, a single trial."""
     warnings = []
     for name in summary.planners:
         whole, label = summary.planner_cells[EVERYTHING, name], planner_label(name)
@@ -75,9 +75,9 @@ def _named(cells: Sequence[Cell]) -> str:
 
 
 def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
-    """Warns where the rows of one variant come from several configurations, code or model versions.
+    """Warn where the rows of one variant come from several configurations, code versions or model versions.
 
-    Each planner has a configuration of its own, and each of the cells of a sweep that make one variant together.
+    Each planner has its own configuration, and so has each of the cells of a sweep that together make one variant.
     """
     warnings = []
     in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
@@ -199,7 +199,7 @@ def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
         if comparison and comparison.only_baseline:
             warnings.append(
                 f"{planner_label(baseline)} finished {counted(comparison.only_baseline, 'trial')} that "
-                f"{planner_label(planner)} has not: they are in no comparison, which flatters the latter."
+                f"{planner_label(planner)} did not: they are in no comparison, which flatters the latter."
             )
     pairs = {
         cell: comparison.improvement.n

@@ -1,8 +1,8 @@
-"""How costs are distributed, not only their means: performance profiles and the distribution of each cell's costs.
+"""The distribution of costs beyond their means: performance profiles, and the distribution of each cell's costs.
 
 A performance profile (Dolan and Moré, *Benchmarking optimization software with performance profiles*, Mathematical
 Programming 91, 2002) takes each planner's cost on a trial relative to the cheapest planner's on that trial, and shows
-for every factor in how many trials a planner stays within it. A failed episode stays within none.
+for every factor in how many trials a planner stays within it. A failed episode never does.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ class CostRatios:
 def cost_ratios(rows: pd.DataFrame) -> CostRatios | None:
     """The ratios over the trials that all planners ran and one finished; None with fewer than two planners.
 
-    Planners that know more than a planner can (the bound `known`) take no part: they would be the cheapest everywhere.
+    Bounds such as `known` take no part: they know more than a planner can, and would be the cheapest everywhere.
     """
     planners = tuple(n for n in planners_in_order(rows["planner"].unique()) if planner_role(n) is not Role.BOUND)
     if len(planners) < 2:
@@ -152,7 +152,7 @@ def _cost_panel(axes: Axes, rows: pd.DataFrame, planners: Sequence[str]) -> None
 
 
 def _steps(axes: Axes, values: Floats, top: float, color: str, start: float) -> None:
-    """The share of ``values`` that is not above x, for x from ``start`` to ``top``; infinite ones never are."""
+    """Draw the share of ``values`` that are at most x, for x from ``start`` to ``top``; infinite values never are."""
     found, counts = np.unique(values[values <= top], return_counts=True)
     shares = 100 * counts.cumsum() / len(values)
     if len(found) > MAX_STEPS:

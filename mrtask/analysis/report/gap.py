@@ -48,7 +48,7 @@ PANEL_IN = (3.5, 0.34, 1.3)
 
 @dataclass(frozen=True)
 class Ladder:
-    """The planners that the parts are the steps between, and those whose gap is taken apart."""
+    """The planners between which the parts are the steps, and the planners whose gap is split."""
 
     truth: str
     """Our search with the true likelihoods."""
@@ -61,7 +61,7 @@ class Ladder:
 
     @property
     def planners(self) -> tuple[str, ...]:
-        """All whose gap is taken apart."""
+        """All planners whose gap is split."""
         return (*self.decided, *self.informed)
 
 
@@ -82,7 +82,7 @@ class Gap:
 
 
 def find_ladder(manifest: Mapping[str, Any], planners: Sequence[str]) -> Ladder | None:
-    """The ladder among planners that ran, by what the run says of them; None where a step is missing.
+    """The ladder among the planners that ran, by what the run recorded; None where a step is missing.
 
     Args:
         manifest: has ``planner_options``, ``behind`` (the planner that a name stands for) and ``likelihood`` (which it
@@ -91,8 +91,8 @@ def find_ladder(manifest: Mapping[str, Any], planners: Sequence[str]) -> Ladder 
     behind, likelihood = manifest.get("behind"), manifest.get("likelihood")
     if not isinstance(behind, Mapping) or not isinstance(likelihood, Mapping) or KNOWN not in planners:
         return None
-    with_model = [name for name in planners if _is_given(likelihood.get(name), "model") and name != KNOWN]
-    with_truth = [name for name in planners if _is_given(likelihood.get(name), "truth") and name != KNOWN]
+    with_model = [name for name in planners if _is_plain(likelihood.get(name), "model") and name != KNOWN]
+    with_truth = [name for name in planners if _is_plain(likelihood.get(name), "truth") and name != KNOWN]
     options = manifest.get("planner_options", {})
 
     def most_samples(names: Sequence[str]) -> str | None:
@@ -111,8 +111,8 @@ def find_ladder(manifest: Mapping[str, Any], planners: Sequence[str]) -> Ladder 
     )
 
 
-def _is_given(likelihood: object, source: str) -> bool:
-    """Whether these are the likelihoods of that source as they are."""
+def _is_plain(likelihood: object, source: str) -> bool:
+    """Whether these are the unchanged likelihoods of that source."""
     return likelihood == {"source": source, "uniform_mix": 0, "noise_sd": 0}
 
 
@@ -172,7 +172,7 @@ def gap_table(gaps: Sequence[Gap]) -> Table:
 
 
 def gap_sentences(gaps: Sequence[Gap]) -> list[str]:
-    """What the gaps over all trials are made of, in words."""
+    """The parts of the gaps over all trials, in words."""
     sentences = []
     for gap in gaps:
         if gap.cell == EVERYTHING and gap.whole.defined:

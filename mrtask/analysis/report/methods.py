@@ -1,4 +1,4 @@
-"""What a paper that uses a run says about it: a methods paragraph with its numbers and versions, and citations."""
+"""Text for papers that use a run: a methods paragraph with the run's numbers and versions, and citations."""
 
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
@@ -22,7 +22,7 @@ PAPER_KEY, SOFTWARE_KEY = "khanal2026multirobot", "mrtask"
 
 
 def methods_sentences(data: ReportData) -> list[str]:
-    """The paragraph sentence by sentence; what the run did not record is left out."""
+    """The paragraph, sentence by sentence, without what the run did not record."""
     return [
         _trials_sentence(data.rows, part(data.manifest, "homes")),
         *_task_sentences(data.rows, part(part(data.manifest, "config"), "evaluation")),

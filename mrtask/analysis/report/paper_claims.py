@@ -1,8 +1,8 @@
-"""The paper's claims, each judged on a run's rows: does it hold here, and which number says so?
+"""The paper's claims, each judged on a run's rows: does it hold here, and which number shows it?
 
 A claim about every cell holds only where each cell's 95 % interval is above zero, which needs no correction for the
-number of cells. One cell whose whole interval is below zero contradicts it; nine cells make that a little likelier by
-luck, which is why the cell is named.
+number of cells. One cell whose whole interval is below zero contradicts it; with nine cells this happens a little more
+often by chance, so the cell is named.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,11 +34,11 @@ from mrtask.homes.home import SIZE_CLASSES
 from mrtask.names import counted
 
 MYOPIC = "nonlearned_myopic"
-"""What the paper's robots ran in the apartments beside its planner."""
+"""The planner that the paper's robots ran in the apartments for comparison."""
 
 
 class Verdict(Enum):
-    """What a run says of a claim."""
+    """The verdict of a run on a claim."""
 
     HOLDS = "yes"
     NOT_SHOWN = "not shown"
@@ -55,12 +55,12 @@ class Judged:
 
     verdict: Verdict
     because: tuple[str, ...]
-    """Line by line."""
+    """The reasons, one per line."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Where to look: a place on the page or beside it, or a command."""
+    """A place on the page or beside it, or a command that shows the evidence."""
 
     label: str
     href: str | None = None
@@ -206,7 +206,7 @@ def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:
 
 
 def judge_coordination(found: Coordination | None) -> Judged:
-    """Whether a planner's traces show both."""
+    """Whether a planner's traces show robots that wait and robots that go on."""
     if found is None:
         return Judged(Verdict.NOT_IN_RUN, ("no trace of an ordered task with several robots",))
     waits, goes_on = (share(len(trials), found.episodes) for trials in (found.waits, found.goes_on))
@@ -223,7 +223,7 @@ def judge_coordination(found: Coordination | None) -> Judged:
 
 
 def _trial_evidence(data: ReportData, what: str, trials: Sequence[str]) -> Evidence:
-    """A trial to watch, where one has a replay beside the page; else the command for the first."""
+    """A trial whose replay lies beside the page; without one, the command that replays the first trial."""
     for trial in trials:
         if trial in data.replays:
             return Evidence(f"{what}: {trial}", data.replays[trial])

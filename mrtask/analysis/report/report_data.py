@@ -1,4 +1,4 @@
-"""What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
+"""The data behind every section of the report: a run's checked episodes, their statistics and the answer."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -75,13 +75,13 @@ class ReportData:
 
     @cached_property
     def coordination(self) -> dict[str, Coordination]:
-        """Of the planners judged, those whose traces can show whether robots wait and go on."""
+        """How the judged planners' robots wait and go on, for those whose traces can show it."""
         found = {name: coordination(self.rows, name) for name in self.judged}
         return {name: one for name, one in found.items() if one is not None}
 
     @cached_property
     def picks(self) -> list[Pick]:
-        """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
+        """The trials worth a look, each with a reason: representative, failed, lost, or showing how robots wait."""
         picks = notable_trials(self.rows, self.planner)
         shown = self.coordination.get(self.planner or "")
         if shown is None or "home_id" not in self.rows.columns:
@@ -128,7 +128,7 @@ class ReportData:
 
     @property
     def warnings(self) -> list[str]:
-        """Everything that a reader should know before trusting the answer."""
+        """All warnings that a reader should see before trusting the answer."""
         of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest))
         found = [*self.findings.warnings, *mixture_warnings(self.rows), *of_run, *self._played[1]]
         return [text for text in found if text]

@@ -1,7 +1,7 @@
-"""The report: one ``index.html`` that holds everything it shows and needs no network, and files for others beside it.
+"""The report: one page that contains everything it shows and needs no network, with files for other uses beside it.
 
-It opens with the answer, in words computed from the data; the sections below are listed in
-`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
+It opens with the answer in words, computed from the data; the sections below it are listed in
+`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and all tables and figures in formats for papers.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ TABLE_FILE = "table.csv"
 
 @dataclass(frozen=True)
 class TrialsToDraw:
-    """The trials whose traces the report needs, of these planners, and the homes that they are in."""
+    """The trials and planners whose traces the report needs, and the homes of these trials."""
 
     trial_ids: frozenset[str]
     home_ids: frozenset[str]
@@ -43,9 +43,9 @@ class Report:
 
     page: str
     table: pd.DataFrame
-    """What `mrtask.analysis.report.planner_table.result_table` has."""
+    """The rows of `mrtask.analysis.report.planner_table.result_table`."""
     extras: Mapping[str, bytes] = field(default_factory=dict)
-    """Relative path -> content of what lies beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
+    """Relative path -> content of the files beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
 
 
 def render_report(
@@ -110,7 +110,7 @@ def _page(data: ReportData, contents: Mapping[Section, Content]) -> str:
 
 
 def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> TrialsToDraw:
-    """What the report of these episodes draws, so that no other home or trace needs to be loaded."""
+    """The trials that the report of these episodes draws, so that no other home or trace need be loaded."""
     checked = checked_episodes(episodes)
     rows = rows_of(checked, variants_of(checked)[-1])
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))

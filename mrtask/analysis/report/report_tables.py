@@ -1,4 +1,4 @@
-"""The tables of the report for people: the paper's own, a sweep's variants, how far from optimal.
+"""The report's tables of cells: the paper's own table, the variants of a sweep, and how far planners are from optimal.
 
 The table of all planners, which is also written for machines, is in `mrtask.analysis.report.planner_table`; planner
 against reference in `mrtask.analysis.report.wins`.

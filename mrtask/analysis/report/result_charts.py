@@ -204,7 +204,7 @@ def sweep(summaries: Mapping[Variant, Summary], planner: str, baselines: Sequenc
 
 
 def _side_by_side(names: Sequence[str], step: float) -> list[tuple[str, float]]:
-    """Each name with how far its marks stand aside, so that they do not cover each other."""
+    """Each name with the shift that keeps its marks from covering the others."""
     return [(name, step * (index - (len(names) - 1) / 2)) for index, name in enumerate(names)]
 
 

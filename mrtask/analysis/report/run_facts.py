@@ -1,6 +1,6 @@
 """What the report says beside the results: the likelihood model, the homes, the run, and what went wrong in it.
 
-A manifest is the JSON that a run writes; every key is optional, and what is missing is not shown.
+A manifest is the JSON that a run writes; every key is optional, and missing ones are not shown.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""What search is worth: cost against the number of samples (the anytime curve), and cost and time against team size.
+"""The value of search: cost against the number of samples (the anytime curve), and cost and time against team size.
 
-Everything in a panel is over the same trials, those that all of its planners finished, all size classes together.
+Everything in a panel is over the same trials: those that all of its planners finished, in all size classes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ Point = tuple[str, float]
 
 @dataclass(frozen=True)
 class Worth:
-    """Planner against planner by team size: the robots where the first is clearly sooner, and where it is not."""
+    """The team sizes at which one planner is clearly sooner than another, and those at which it is not."""
 
     clear: tuple[int, ...]
     unclear: tuple[int, ...]
@@ -61,11 +61,11 @@ class SampleCurves:
     budgets: Mapping[str, tuple[float, ...]]
     """Planner -> its budgets in rising order."""
     best: Point
-    """What the lower panels are relative to."""
+    """The reference of the lower panels."""
 
     @property
     def planners(self) -> tuple[str, ...]:
-        """All that are drawn, in the order of the legend."""
+        """All planners that are drawn, in the order of the legend."""
         return (*self.curves, *self.levels)
 
     @property
@@ -82,7 +82,7 @@ class SampleCurves:
 def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves | None:
     """What `draw_sample_curves` draws; ``best`` is ``planner``, or the last with a curve, at its largest budget.
 
-    None where no planner ran with several budgets, or where a sweep changed something else too.
+    None where no planner ran with several budgets, or where the sweep also changed something else.
     """
     if BUDGET not in episodes.columns:
         return None
@@ -103,7 +103,7 @@ def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves |
 
 @house_style()
 def draw_sample_curves(shown: SampleCurves) -> Figure:
-    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is left to gain."""
+    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is still to gain."""
     teams = sorted(shown.rows["robots"].unique())
     looks = planner_looks(shown.planners)
     reference, samples = shown.best

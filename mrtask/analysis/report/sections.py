@@ -49,7 +49,7 @@ class Section:
     """The entry in the navigation."""
     title: str
     content: Callable[[ReportData], Content | None]
-    """Makes what stands below the heading; None leaves the section out."""
+    """Makes the content below the heading; None leaves the section out."""
 
 
 def _content(template: str, *exhibits: ShownTable | Picture | None, **values: object) -> Content:
@@ -275,7 +275,7 @@ def optimality_section(data: ReportData) -> Content | None:
 
 
 def gap_section(data: ReportData) -> Content | None:
-    """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
+    """The parts of the gap between planners and knowing everything; None where the planners this needs did not run."""
     ladder = gap.find_ladder(data.manifest, data.summary.planners)
     if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
         return None
@@ -294,7 +294,7 @@ def gap_section(data: ReportData) -> Content | None:
 
 
 def model_section(data: ReportData) -> Content:
-    """What the likelihood model is and how good."""
+    """The likelihood model, and how good it is."""
     title = "The likelihood model on homes held back from training"
     return _content(
         "model",
@@ -321,7 +321,7 @@ def run_section(data: ReportData) -> Content:
 
 
 def method_section(data: ReportData) -> Content:
-    """How the numbers are computed, and the published ones that they stand beside."""
+    """How the numbers are computed, and where the published ones come from."""
     title = "The paper's trials in real apartments"
     return _content(
         "method",
@@ -334,7 +334,7 @@ def method_section(data: ReportData) -> Content:
 
 
 def papers_section(data: ReportData) -> Content:
-    """What a paper on this run needs besides tables and figures: a paragraph on methods, and citations."""
+    """Further text for a paper on this run: a methods paragraph, and citations."""
     sentences = methods_sentences(data)
     code_version = data.manifest.get("code_version")
     entries = bibtex(data.published, str(code_version) if code_version else None)
@@ -382,7 +382,7 @@ SECTIONS: Sequence[Section] = (
 
 
 def _notable_table(data: ReportData, browser: TrialBrowser) -> Table | None:
-    """Why each trial is worth a look, its task, and what came of it with the planner and the baseline."""
+    """Why each trial is worth a look, its task, and its outcome with the planner and the baseline."""
     rows = [
         Row(
             pick.trial_id,
@@ -410,7 +410,7 @@ def _task(rows: pd.DataFrame, trial_id: str) -> str:
 
 
 def _outcomes(rows: pd.DataFrame, trial_id: str, browser: TrialBrowser) -> list[str]:
-    """What came of a trial with the planner and the baseline: seconds, or the status."""
+    """A trial's outcome with the planner and the baseline: seconds, or the status."""
     of_trial = rows[rows["trial_id"] == trial_id].to_dict("records")
     found = {
         row["planner"]: f"{row['cost_s']:.1f} s" if row["status"] == "accepted" else row["status"] for row in of_trial

@@ -1,7 +1,7 @@
 """Trial by trial: a scatter whose points lead to their trials, and the trials that are worth a look.
 
-The points, their names and the list of notable trials stand in the page; all that a click shows (outcomes, both paths
-on the floor plan) is packed beside them and unpacked by ``report.js``.
+The page holds the points, their names and the list of notable trials in plain HTML. The content behind a click
+(outcomes, both paths on the floor plan) is packed beside them and unpacked by ``report.js``.
 """
 
 import base64
@@ -26,14 +26,14 @@ from mrtask.homes.home import Home
 
 WORST_LOSSES, FAILURES = 10, 10
 MAX_MAPPED_TRIALS = 3000
-"""Of larger runs only the notable trials have a map: the report would grow too large."""
+"""In larger runs only the notable trials have a map, or the report would grow too large."""
 PLOT_SIZE, PLOT_LEFT, PLOT_BOTTOM, PLOT_PAD = 520, 54, 40, 12
 MAX_TICKS = 6
 NEEDED = (
     *("trial_id", "home_id", "size_class", "robots", "template", "formula", "objects"),
     *("planner", "status", "cost_cells", "trace"),
 )
-"""The columns that a click shows something of."""
+"""The columns from which a click shows something."""
 ROOM_INDEX = {name: index for index, name in enumerate(ROOM_COLORS)}
 
 
@@ -206,7 +206,7 @@ def _cost(row: Mapping[Any, Any] | None) -> float | None:
 
 
 def _paths(trace: Trace, sheet: Sheet) -> list[list[int]]:
-    """By robot, all it drove as one line: x, y, x, y in centimetres of the picture."""
+    """For each robot its whole way as one line: x, y, x, y in centimetres of the picture."""
     lines = []
     for legs in trace.robots:
         points = [sheet.point(trace.start)]

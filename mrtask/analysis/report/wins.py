@@ -1,7 +1,8 @@
-"""How often a planner is sooner than another on the same trial: wins, ties, losses, and whether they are luck.
+"""How often a planner finishes sooner than another on the same trial: wins, ties, losses, and whether they are chance.
 
 The share of wins is among the trials that one of the two won, with Wilson's interval; the sign test is exact and leaves
-ties out too (both SciPy's). They ask how often, not by how much: a planner may win most trials and lose on average.
+ties out too (both are SciPy's). They measure how often, not by how much: a planner may win most trials and lose on
+average.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ MIN_LABELLED_PERCENT = 9.0
 
 
 def share_sooner(pair: Comparison) -> Estimate:
-    """Of the trials that one of the two won, the share that the planner won, in percent with Wilson's interval."""
+    """The share of decided trials that the planner won, in percent with Wilson's interval."""
     return share(pair.wins, pair.wins + pair.losses)
 
 
@@ -49,7 +50,7 @@ def sign_test(pair: Comparison) -> float:
 
 
 def p_value_text(value: float) -> str:
-    """Three digits."""
+    """The p value with three digits."""
     return NOTHING if not np.isfinite(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 

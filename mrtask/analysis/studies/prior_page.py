@@ -63,7 +63,7 @@ TASKS_CAPTION = (
 )
 CALIBRATION_CAPTION = (
     "Above: log loss of the belief at the beginning of each task, per pair of container and object; solid with, dashed "
-    "without adapting. Below: what was believed against what was so, in the last tasks, in tenths of the pairs."
+    "without adapting. Below: what was believed against what was true, in the last tasks, in tenths of the pairs."
 )
 NOTES = {
     "cost": "Mean cost of the planner with each prior above its mean cost with the best prior, on the same trials: the "
@@ -260,7 +260,7 @@ def draw_tasks(study: PriorStudy) -> Picture:
 def draw_calibration(study: PriorStudy) -> Picture:
     """A column per contents: log loss by task, and reliability in the last tasks."""
     numbers, last = list(range(1, study.tasks + 1)), _last_tasks(study)
-    figure, grid = _grid(study, "log loss", "was so")
+    figure, grid = _grid(study, "log loss", "was true")
     for contents, (upper, lower) in zip(study.contents, grid.T, strict=True):
         for arm in study.of_contents(contents):
             losses = [study.loss(arm, "log_loss", number - 1).value for number in numbers]

@@ -1,4 +1,4 @@
-"""What a prior is worth in a mission, from the episodes of several priors on the same trials.
+"""The value of a prior in a mission, from the episodes of several priors on the same trials.
 
 An *arm* is a prior on homes with some contents, and whether the belief learns from task to task in a home. Arms of the
 same contents ran the same trials. Tasks of one home depend on each other, so intervals come from resampling homes.
@@ -94,7 +94,7 @@ class PriorStudy:
         return next((arm for arm in self.arms if (arm.contents, arm.prior, arm.adapts) == wanted), None)
 
     def best(self, contents: str) -> ArmRows | None:
-        """What others are compared with: the true prior, or else that learned from homes with the same contents."""
+        """The arm to compare with: the true prior, or else the one learned from homes with the same contents."""
         return self.find(contents, TRUTH) or self.find(contents, contents)
 
     def pairs(self, contents: str) -> Iterator[tuple[ArmRows, ArmRows]]:
@@ -139,7 +139,7 @@ class PriorStudy:
         return pd.Series([int(_parts(trial)[2]) % self.tasks in numbers for trial in trials], index=trials, dtype=bool)
 
     def new_objects(self, arm: ArmRows) -> pd.Series:
-        """Trials, after the first in their home, of whose objects none was asked for there before."""
+        """Trials, after the first in their home, about objects none of which was asked for there before."""
         rows = arm.episodes.drop_duplicates("trial_id").set_index("trial_id")["objects"]
         found = {}
         asked: dict[str, set[str]] = {}

@@ -1,4 +1,4 @@
-"""The page of a sensitivity study: what the planner saves against one factor of the experiment at a time."""
+"""The page of a sensitivity study: what the planner saves, against one factor of the experiment at a time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
