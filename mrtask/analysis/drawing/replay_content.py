@@ -226,12 +226,10 @@ def task_in_words(template: str, formula: str, objects: Sequence[str]) -> str:
 def container_names(home: Home) -> tuple[str, ...]:
     """``Fridge``, ``Chair 1``, ``Chair 2``: the type, numbered where the home has several."""
     types = [container.type for container in home.containers]
-    seen: dict[str, int] = {}
-    names = []
-    for kind in types:
-        seen[kind] = seen.get(kind, 0) + 1
-        names.append(kind if types.count(kind) == 1 else f"{kind} {seen[kind]}")
-    return tuple(names)
+    numbers = [types[: index + 1].count(kind) for index, kind in enumerate(types)]
+    return tuple(
+        kind if types.count(kind) == 1 else f"{kind} {number}" for kind, number in zip(types, numbers, strict=True)
+    )
 
 
 def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str]) -> Run:
@@ -240,25 +238,16 @@ def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str
     unknown = {leg.container for legs in trace.robots for leg in legs if leg.container} - place.keys()
     if unknown:
         raise ValueError(f"the trace of {episode.planner} names {sorted(unknown)[0]!r}, which home {home.id} lacks")
-    finds = sorted(
-        (
-            Find(
-                leg.t1_s,
-                robot,
-                place[leg.container],
-                tuple(
-                    index
-                    for index, name in enumerate(automaton.propositions)
-                    if name in home.containers[place[leg.container]].objects
-                ),
-                leg.path[0],
-            )
-            for robot, legs in enumerate(trace.robots)
-            for leg in legs
-            if leg.kind == "search" and leg.container
-        ),
-        key=lambda find: (find.t_s, find.robot),
-    )
+    held = [
+        tuple(index for index, name in enumerate(automaton.propositions) if name in container.objects)
+        for container in home.containers
+    ]
+    finds = [
+        Find(leg.t1_s, robot, place[leg.container], held[place[leg.container]], leg.path[0])
+        for robot, legs in enumerate(trace.robots)
+        for leg in legs
+        if leg.kind == "search" and leg.container
+    ]
     states = [(0.0, automaton.initial)]
     for letter in trace.letters:
         states.append((letter.t_s, automaton.run([letter.object], states[-1][1])))
@@ -268,7 +257,7 @@ def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str
         cost_s=episode.cost_s,
         error=episode.error,
         trace=trace,
-        finds=tuple(finds),
+        finds=tuple(sorted(finds, key=lambda find: (find.t_s, find.robot))),
         states=tuple(states),
         decisions=tuple(_decision(observed, episode.cost_s, names) for observed in episode.decisions),
     )

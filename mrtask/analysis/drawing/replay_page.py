@@ -6,6 +6,7 @@ become code: the templates escape text, and `script_json` the data block.
 """
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, clear_spot, passage
 from mrtask.analysis.drawing.replay_content import Decision, Replay, Run
 from mrtask.analysis.drawing.sheet import Sheet
 from mrtask.analysis.drawing.trajectories import place_at
-from mrtask.analysis.page.page import render_fragment, script_digest, template_text
+from mrtask.analysis.page.rendering import render_fragment, script_digest, template_text
 from mrtask.analysis.page.style import ROBOT_COLORS
 from mrtask.names import counted
 
@@ -41,6 +42,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         command=command,
         sheet=sheet,
         floor=_floor(replay, sheet),
+        min_label_area_m2=MIN_LABEL_AREA_M2,
         runs=[_run_view(run, replay, sheet) for run in replay.runs],
         automaton=draw_automaton(replay.automaton),
         state_radius=RADIUS,
@@ -109,8 +111,7 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
         }
         for room in home.rooms
     ]
-    ways_out = [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]]
-    containers = [
+    containers: list[dict[str, Any]] = [
         {
             "index": index,
             "name": replay.names[index],
@@ -118,19 +119,17 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
             "middle": sheet.middle(container.footprint),
             "side": _side(sheet.middle(container.footprint)[0], sheet.width),
             "held": [name for name, here in zip(replay.objects, holds[index], strict=True) if here],
-            "labelled": ShapelyPolygon(container.footprint).area > MIN_LABEL_AREA_M2,
+            "area_m2": ShapelyPolygon(container.footprint).area,
         }
         for index, container in enumerate(home.containers)
     ]
-    # Small furniture stands partly under large.
-    containers.sort(key=lambda view: -ShapelyPolygon(home.containers[view["index"]].footprint).area)
-    obstacles = [sheet.points(obstacle.footprint) for obstacle in home.obstacles]
     return {
         "rooms": rooms,
         "doors": [sheet.points(line) for line in passages(home)],
-        "ways_out": ways_out,
-        "containers": containers,
-        "obstacles": obstacles,
+        "ways_out": [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]],
+        # Small furniture stands partly under large.
+        "containers": sorted(containers, key=lambda view: -view["area_m2"]),
+        "obstacles": [sheet.points(obstacle.footprint) for obstacle in home.obstacles],
     }
 
 
@@ -140,13 +139,13 @@ def _side(x: float, width: float) -> str:
 
 def _run_view(run: Run, replay: Replay, sheet: Sheet) -> dict[str, Any]:
     ends = [legs[-1].path[-1] if legs else run.trace.start for legs in run.trace.robots]
-    marks: dict[tuple[int, int, int], list[str]] = {}
+    marks: Counter[tuple[int, int, int]] = Counter()
     stars = []
     for letter in run.trace.letters:
         x, y = sheet.point(place_at(run.trace.robots[letter.robot], letter.t_s, run.trace.start))
-        above = len(marks.setdefault((letter.robot, x, y), []))
-        marks[letter.robot, x, y].append(letter.object)
+        above = marks[letter.robot, x, y]
         stars.append({"x": x, "y": y, "above": above, "robot": letter.robot, "t": letter.t_s, "text": letter.object})
+        marks[letter.robot, x, y] += 1
     return {
         "run": run,
         "status": _status_text(run),
@@ -244,9 +243,6 @@ def _gap_text(runs: Sequence[Run]) -> str | None:
     first = runs[0].cost_s if runs else None
     if first is None:
         return None
-    parts = []
-    for run in runs[1:]:
-        if run.cost_s:
-            share = 100 * (1 - first / run.cost_s)
-            parts.append(f"{abs(share):.0f} % {'sooner' if share >= 0 else 'later'} than {run.label}")
+    shares = {run.label: 100 * (1 - first / run.cost_s) for run in runs[1:] if run.cost_s}
+    parts = [f"{abs(share):.0f} % {'sooner' if share >= 0 else 'later'} than {name}" for name, share in shares.items()]
     return f"{runs[0].label} is done {', '.join(parts)}." if parts else None

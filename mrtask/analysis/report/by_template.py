@@ -23,16 +23,18 @@ COLUMNS = (
 
 
 def results_by_template(rows: pd.DataFrame, planner: str | None) -> Summary | None:
-    """The statistics of each template the planner ran, as a cell ``(template, ALL_TEAMS)``; None without templates.
-
-    Ours come first, in the order of `TEMPLATES`, then any others by name.
-    """
+    """The statistics of each template the planner ran, as a cell ``(template, ALL_TEAMS)``; None without templates."""
     if planner is None or "template" not in rows.columns:
         return None
-    present = set(rows.loc[rows["planner"] == planner, "template"].dropna().astype(str))
-    templates = [*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))]
+    templates = templates_in_order(rows[rows["planner"] == planner])
     parts = {(name, ALL_TEAMS): rows[rows["template"] == name] for name in templates}
     return summarise_parts(rows, templates, [ALL_TEAMS], parts) if parts else None
+
+
+def templates_in_order(rows: pd.DataFrame) -> list[str]:
+    """The templates of these rows: ours in the order of `TEMPLATES`, then any others by name."""
+    present = set(rows["template"].dropna().astype(str))
+    return [*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))]
 
 
 def template_table(results: Summary, planner: str) -> Table:

@@ -36,15 +36,15 @@ def coordination(rows: pd.DataFrame, planner: str) -> Coordination | None:
     """The planner's coordination by its traces; None if no episode could show any."""
     if not {"trace", "formula"} <= set(rows.columns):
         return None
-    own = rows[(rows["planner"] == planner) & (rows["status"] == "accepted") & (rows["robots"] > 1)]
-    ordered = own[own["formula"].fillna("").astype(str).str.contains(ORDER, regex=False)]
-    own = ordered[ordered["trace"].notna()]
+    ordered = rows["formula"].fillna("").astype(str).str.contains(ORDER, regex=False)
+    eligible = rows[(rows["planner"] == planner) & (rows["status"] == "accepted") & (rows["robots"] > 1) & ordered]
+    own = eligible[eligible["trace"].notna()]
     if own.empty:
         return None
     traces = {str(trial): Trace.from_json(text) for trial, text in zip(own["trial_id"], own["trace"], strict=True)}
     return Coordination(
         episodes=len(traces),
-        eligible=len(ordered),
+        eligible=len(eligible),
         waits=tuple(trial for trial, trace in traces.items() if any(_waited(trace, one) for one in trace.letters)),
         goes_on=tuple(trial for trial, trace in traces.items() if any(_went_on(trace, one) for one in trace.letters)),
     )

@@ -11,7 +11,7 @@ import pandas as pd
 from mrtask.analysis.drawing.replay_content import Episode, make_replay
 from mrtask.analysis.drawing.replay_page import render_replay
 from mrtask.analysis.drawing.trajectories import Pick, task_objects
-from mrtask.analysis.page.page import Findings
+from mrtask.analysis.page.rendering import Findings
 from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
 from mrtask.analysis.report.run_facts import Manifest, missing_episodes, model_warning

@@ -1,7 +1,7 @@
 """The report: one page that contains everything it shows and needs no network, with files for other uses beside it.
 
 It opens with the answer in words, computed from the data; the sections below it are listed in
-`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and all tables and figures in formats for papers.
+`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and all tables and figures as files for papers.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from mrtask.analysis.page.exhibits import Content
-from mrtask.analysis.page.page import PageSection, render_page, template_text
+from mrtask.analysis.page.rendering import PageSection, render_page, template_text
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.for_papers import paper_files
 from mrtask.analysis.report.planner_table import result_table

@@ -68,16 +68,6 @@ class SampleCurves:
         """All planners that are drawn, in the order of the legend."""
         return (*self.curves, *self.levels)
 
-    @property
-    def points(self) -> list[Point]:
-        """Every planner that is drawn with each of its budgets."""
-        return [(name, budget) for name in self.planners for budget in self.budgets[name]]
-
-    @property
-    def ticks(self) -> list[float]:
-        """The budgets of all curves."""
-        return sorted({budget for name in self.curves for budget in self.budgets[name]})
-
 
 def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves | None:
     """What `draw_sample_curves` draws; ``best`` is ``planner``, or the last with a curve, at its largest budget.
@@ -107,13 +97,14 @@ def draw_sample_curves(shown: SampleCurves) -> Figure:
     teams = sorted(shown.rows["robots"].unique())
     looks = planner_looks(shown.planners)
     reference, samples = shown.best
+    ticks = sorted({budget for name in shown.curves for budget in shown.budgets[name]})
     width_in = PANEL_WIDTH_IN * max(len(teams), 2)
     figure, grid = panels(width_in, 2 * PANEL_HEIGHT_IN + 0.5, 2, len(teams), sharex=True, sharey="row")
     for robots, (upper, lower) in zip(teams, grid.T, strict=True):
         trials = _draw_team_curves(shown, robots, upper, lower, looks)
         upper.set_title(f"{counted(robots, 'robot')}, {trials} trials")
         lower.set_xlabel("samples per decision")
-        ticks_as(upper.xaxis, "{:,.0f}".format, shown.ticks, log=True)
+        ticks_as(upper.xaxis, "{:,.0f}".format, ticks, log=True)
     grid[1, 0].set_ylim(top=min(grid[1, 0].get_ylim()[1], MAX_ABOVE_PERCENT))
     grid[0, 0].set_ylabel("mean cost (grid cells)")
     grid[1, 0].set_ylabel(f"% above {planner_label(reference)}\nwith {samples:,.0f} samples")
@@ -125,7 +116,8 @@ def _draw_team_curves(shown: SampleCurves, robots: int, upper: Axes, lower: Axes
     """Draw the two panels of one team size; return the number of trials in them."""
     rows = shown.rows[shown.rows["robots"] == robots]
     costs = rows.pivot(index="trial_id", columns=["planner", BUDGET], values="cost_cells")
-    points = [point for point in shown.points if point in costs.columns]
+    every = [(name, budget) for name in shown.planners for budget in shown.budgets[name]]
+    points = [point for point in every if point in costs.columns]
     paired = PairedCosts(costs[points].dropna())
     for name in shown.planners:
         own = [point for point in points if point[0] == name]

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from mrtask.analysis.drawing.replay_content import task_in_words
 from mrtask.analysis.drawing.trajectories import draw_trial, instructive_trials, task_objects
 from mrtask.analysis.page.exhibits import Content, Picture, ShownTable
-from mrtask.analysis.page.page import Findings, render_fragment
+from mrtask.analysis.page.rendering import Findings, render_fragment
 from mrtask.analysis.page.style import NOTHING, planner_label, robot_color
 from mrtask.analysis.page.tables import MARKS, Entry, Row, Table
-from mrtask.analysis.report import cost_profiles, gap, report_tables, result_charts, run_facts, search_curves
+from mrtask.analysis.report import cell_tables, cost_profiles, gap, overview_charts, run_facts, search_curves
 from mrtask.analysis.report.answer import find
 from mrtask.analysis.report.by_template import draw_templates, results_by_template, template_table
 from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdown, methods_sentences
@@ -70,7 +70,7 @@ def _picture(name: str, title: str, caption: str, figure: Figure | None) -> Pict
 
 def paper_table_section(data: ReportData) -> Content:
     """The paper's table with our results in it."""
-    table = report_tables.paper_table(data.summary, data.published, data.planner)
+    table = cell_tables.paper_table(data.summary, data.published, data.planner)
     title = "Mean costs and improvements by home size and team size"
     return _content("paper_table", _table("paper", title, table, "planner", wide=True), marks=MARKS)
 
@@ -81,7 +81,7 @@ def variants_section(data: ReportData) -> Content | None:
         return None
     found = _variant_findings(data)
     curves = search_curves.sample_curves(data.episodes, data.planner)
-    side_by_side = report_tables.variant_table(data.summaries, data.planner)
+    side_by_side = cell_tables.variant_table(data.summaries, data.planner)
     return _content(
         "variants",
         _table("variants", "The variants of the sweep", side_by_side, "variant"),
@@ -98,7 +98,7 @@ def variants_section(data: ReportData) -> Content | None:
             "variants",
             "Improvement by variant",
             "All team sizes together, 95 % paired bootstrap intervals.",
-            result_charts.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
+            overview_charts.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
         ),
         findings=found,
     )
@@ -109,7 +109,7 @@ def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, ShownTable]
     found = {}
     for number, (variant, summary) in enumerate(data.summaries.items(), 1):
         planner = data.planner if data.planner in summary.planners else main_planner(summary.planners)
-        table = report_tables.paper_table(summary, data.published, planner)
+        table = cell_tables.paper_table(summary, data.published, planner)
         title = f"Mean costs and improvements: {variant or 'as configured'}"
         shown = ShownTable(f"paper-variant-{number}", title, table, "planner", wide=True)
         found[variant] = (find(summary, data.published, planner), shown)
@@ -125,26 +125,26 @@ def figures_section(data: ReportData) -> Content:
             "improvement",
             "Improvement by home size and team size",
             "Share of the baseline's mean cost that is saved, with 95 % paired bootstrap intervals.",
-            result_charts.improvements(summary, published, planner, BASELINES) if planner else None,
+            overview_charts.improvements(summary, published, planner, BASELINES) if planner else None,
         ),
         _picture(
             "mean-cost",
             "Mean cost by team size",
             "95 % bootstrap intervals. Published means (dotted, hollow) are on the paper's own homes and tasks: "
             "compare improvements rather than costs.",
-            result_charts.mean_costs(summary, published),
+            overview_charts.mean_costs(summary, published),
         ),
         _picture(
             "scatter",
             "Planner against baseline, trial by trial",
             "One point per trial that both finished. In the shaded half, below the line, the planner is cheaper.",
-            result_charts.scatter(rows, summary, planner, BASELINES) if planner else None,
+            overview_charts.scatter(rows, summary, planner, BASELINES) if planner else None,
         ),
         _picture(
             "planning-time",
             "Planning time per decision",
             "Median and quartiles over episodes; whiskers from the 5th to the 95th percentile.",
-            result_charts.planning_times(rows, summary.planners),
+            overview_charts.planning_times(rows, summary.planners),
         ),
         _picture(
             "team-size",
@@ -270,7 +270,7 @@ def optimality_section(data: ReportData) -> Content | None:
     """How far planners are from the best that any planner can reach; None where it was not measured."""
     if not data.optimality:
         return None
-    table = report_tables.optimality_table(data.optimality)
+    table = cell_tables.optimality_table(data.optimality)
     return _content("optimality", _table("optimality", "How far planners are from optimal", table, "cell"))
 
 
@@ -325,7 +325,7 @@ def method_section(data: ReportData) -> Content:
     title = "The paper's trials in real apartments"
     return _content(
         "method",
-        _table("real-world", title, report_tables.real_world_table(data.published), "trial"),
+        _table("real-world", title, cell_tables.real_world_table(data.published), "trial"),
         resamples=RESAMPLES,
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
         citation=data.published.citation,

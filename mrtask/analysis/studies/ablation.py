@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.page import Findings, PageSection, render_page, study_section
+from mrtask.analysis.page.rendering import Findings, PageSection, render_page, study_section
 from mrtask.analysis.page.style import NOTHING, planner_label
 from mrtask.analysis.page.tables import (
     ABOVE,

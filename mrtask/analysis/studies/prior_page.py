@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrtask.analysis.page.charts import LINE, legend_below, panels, with_band
 from mrtask.analysis.page.exhibits import Picture
-from mrtask.analysis.page.page import Findings, render_page, study_section
+from mrtask.analysis.page.rendering import Findings, render_page, study_section
 from mrtask.analysis.page.style import BLACK, BLUE, GREY, NOTHING, ORANGE, house_style, planner_label
 from mrtask.analysis.page.tables import Entry, Row, Table, block, cell_headings, estimate_entry, saved_entry
 from mrtask.analysis.results.roles import BASELINES

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from mrtask.analysis.page.charts import WIDTH_IN, legend_below, panels, planner_handles, ticks_as, with_band
 from mrtask.analysis.page.exhibits import Picture
-from mrtask.analysis.page.page import Findings, render_page, study_section
+from mrtask.analysis.page.rendering import Findings, render_page, study_section
 from mrtask.analysis.page.style import BLACK, house_style, planner_label, planner_looks
 from mrtask.analysis.page.tables import Row, Table, block, estimate_entry, saved_entry
 from mrtask.analysis.results.episodes import checked_episodes, size_classes_in_order
