@@ -55,7 +55,8 @@ def scatter(episodes: pd.DataFrame, summary: Summary, planner: str, baselines: S
         for axes, size_class in zip(line, classes, strict=True):
             pairs = costs.loc[trials["size_class"] == size_class, [baseline, planner]].dropna()
             _scatter_panel(axes, pairs, trials["robots"], summary.robots, pixels)
-            axes.set(title=size_class, xlabel=f"{planner_label(baseline)} (cells)")
+            title = size_class if baseline == baselines[0] else ""
+            axes.set(title=title, xlabel=f"{planner_label(baseline)} (cells)")
             improvement = summary.improvement((size_class, ALL_TEAMS), planner, baseline)
             if improvement.defined:
                 text = f"{improvement.value:+.1f} % improvement\n{len(pairs)} trials"

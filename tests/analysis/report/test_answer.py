@@ -71,7 +71,7 @@ def test_no_episodes_and_none_finished():
     frame = rows("small", 1, {"pouct": [None, 1.0], "learned_myopic": [2.0, None]})
     _, text = findings_of(frame)
     assert "cannot be compared with the baselines: no trial was finished by both it and a baseline" in text
-    assert "learned_myopic finished 1 trial that pouct has not" in text
+    assert "learned_myopic finished 1 trial that pouct did not" in text
 
 
 def test_one_planner_only():
