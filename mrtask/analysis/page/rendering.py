@@ -78,7 +78,7 @@ def study_section(
     pictures: Sequence[Picture] = (),
     facts: Sequence[tuple[str, str]] = (),
 ) -> PageSection:
-    """A section of tables, a note, pictures and facts; ``corner`` is the heading of the tables' first column."""
+    """A section of pictures, tables, a note and facts; ``corner`` is the heading of the tables' first column."""
     body = render_fragment("study", tables=tables, corner=corner, note=note, pictures=pictures, facts=facts)
     return PageSection(anchor, title, body)
 

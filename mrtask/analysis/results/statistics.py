@@ -145,7 +145,7 @@ class Summary:
         return found.improvement if found else UNDEFINED
 
     def gap(self, cell: Cell, planner: str) -> Estimate:
-        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is none."""
+        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is no gap."""
         return self.gaps.get((cell, planner), UNDEFINED)
 
 

@@ -181,7 +181,7 @@ DRAWN = ("missing cells", "a single trial", "nulls everywhere")
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_is_right_with_what_there_is(tmp_path, name, request):
+def test_copes_with_missing_data(tmp_path, name, request):
     if name not in DRAWN:
         request.getfixturevalue("blank_pictures")
     text = page_of(tmp_path, CASES[name], {}).words

@@ -117,7 +117,7 @@ def test_gap_by_hand():
     assert (SMALL_ONE, "learned_myopic") not in gaps and (SMALL_ONE, "known") not in gaps
 
 
-def test_gap_that_is_none_is_undefined():
+def test_a_gap_of_zero_is_undefined():
     frame = rows("small", 1, {"learned_myopic": [4.0, 4.0], "known": [4.0, 4.0], "pouct": [3.0, 5.0]})
     assert not summarise(checked_episodes(frame)).gaps[SMALL_ONE, "pouct"].defined
 
