@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.statistics import BASELINES, summarise
+from mrtask.analysis.results.roles import BASELINES
+from mrtask.analysis.results.statistics import summarise
 from pipeline import report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage

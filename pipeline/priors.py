@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.results.roles import main_planner
 from mrtask.analysis.studies.calibration import Task, searched_in
 from mrtask.analysis.studies.prior_page import render_priors
 from mrtask.analysis.studies.prior_study import TRUTH, ArmRows

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from mrtask.analysis.drawing.replay_content import Episode, Recorder, make_replay
 from mrtask.analysis.drawing.replay_page import render_replay
 from mrtask.analysis.drawing.trajectories import baseline_beside
-from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.results.roles import main_planner
 from mrtask.execution.trace import Trace
 from mrtask.tasks.automaton import build_automaton
 from pipeline.app.main import main

@@ -210,7 +210,7 @@ def _render(collected: Collected, target: Path) -> pd.DataFrame:
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
     rendered = render_report(episodes, collected.facts, drawn, collected.optimality)
-    write_report(rendered, target)
+    write_report(rendered, target / REPORT_INDEX)
     return rendered.table
 
 

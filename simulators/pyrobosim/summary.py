@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 
 from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.results.statistics import BASELINES, Estimate, compare, paired_costs
+from mrtask.analysis.results.roles import BASELINES
+from mrtask.analysis.results.statistics import Estimate, compare, paired_costs
 from mrtask.planning.planners import planners_in_order
 
 Row = Mapping[str, Any]

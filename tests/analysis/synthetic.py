@@ -78,7 +78,7 @@ def rows(size_class: str, robots: int, costs: dict[str, Sequence[float | None]])
 
 
 def fail(frame: pd.DataFrame, chosen: pd.Series, status: str = "failed", error: str = "why") -> pd.DataFrame:
-    """The frame with the chosen episodes ended otherwise."""
+    """A copy of the frame in which the chosen episodes end with another status."""
     frame = frame.copy()
     frame.loc[chosen, ["status", "error"]] = [status, error]
     frame.loc[chosen, ["cost_s", "cost_cells"]] = np.nan

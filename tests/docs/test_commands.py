@@ -20,8 +20,8 @@ from hydra.core.override_parser.types import Override
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
-from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.main import _for_hydra
+from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.tool import load_options, overrides
 from pipeline.live.process import read_options as live_options
 from pipeline.live.ros import read_options as ros_options

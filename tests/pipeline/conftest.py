@@ -11,7 +11,6 @@ import pytest
 from hydra._internal.hydra import Hydra
 
 from mrtask.analysis.page import exhibits
-from mrtask.analysis.studies import sensitivity
 from pipeline.backends import runs
 from tests.pipeline.harness import ROOT, SMALL, Cli, Finished, Workspace, run_stage
 
@@ -60,8 +59,7 @@ def _no_pictures() -> Iterator[None]:
     The library's tests check which figures exist and how they look; the wheel's tests draw them.
     """
     with pytest.MonkeyPatch.context() as patch:
-        for module in (exhibits, sensitivity):
-            patch.setattr(module, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
+        patch.setattr(exhibits, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
         patch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
         yield
 

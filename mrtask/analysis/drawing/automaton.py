@@ -1,18 +1,18 @@
-"""Lays out a task's automaton for drawing: states in layers from left to right, only the steps that advance the task.
+"""Lay out a task's automaton for drawing: states in layers from left to right, with the steps that advance the task.
 
-Left out are interactions that change nothing and those that would spoil the task, which no robot makes.
+Interactions that change nothing are left out, and so are those that would spoil the task, which no robot makes.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import networkx as nx
+import numpy as np
 
 from mrtask.tasks.automaton import Automaton
 
 MAX_STATES = 40
-"""Larger automata say more in words than in a drawing."""
+"""Larger automata are clearer in words than in a drawing."""
 RADIUS, ROW_GAP, MARGIN = 18.0, 74.0, 26.0
 MIN_LAYER_GAP, CHAR_WIDTH = 110.0, 7.6
 LABEL_AT = 0.42
@@ -62,60 +62,45 @@ def draw_automaton(automaton: Automaton) -> AutomatonDrawing | None:
     if len(graph) > MAX_STATES:
         return None
     layers = _layers(graph, automaton.initial)
-    labels = {(one, other): _label(data["names"]) for one, other, data in graph.edges(data=True)}
+    labels = {(one, other): _label(names) for one, other, names in graph.edges(data="names")}
     widest = max((len(line) for lines in labels.values() for line in lines), default=0)
     gap = max(MIN_LAYER_GAP, CHAR_WIDTH * widest + 4 * RADIUS)
-    rows = max(map(len, layers))
+    rows, border = max(map(len, layers)), MARGIN + RADIUS
     places = {
-        state: (MARGIN + RADIUS + depth * gap, MARGIN + RADIUS + ROW_GAP * (row + (rows - len(layer)) / 2))
+        state: complex(border + depth * gap, border + ROW_GAP * (row + (rows - len(layer)) / 2))
         for depth, layer in enumerate(layers)
         for row, state in enumerate(layer)
     }
-    depth_of = {state: depth for depth, layer in enumerate(layers) for state in layer}
     edges = [
-        _edge(places[one], places[other], lines, abs(depth_of[other] - depth_of[one]) != 1)
+        _edge(places[one], places[other], lines, bent=abs((places[other] - places[one]).real) > 1.5 * gap)
         for (one, other), lines in labels.items()
     ]
     nodes = [
-        StateNode(state, x, y, bool(automaton.accepting[state]), int(automaton.steps_to_accept[state]))
-        for state, (x, y) in places.items()
+        StateNode(state, at.real, at.imag, bool(automaton.accepting[state]), int(automaton.steps_to_accept[state]))
+        for state, at in places.items()
     ]
-    width = 2 * (MARGIN + RADIUS) + gap * (len(layers) - 1)
-    return AutomatonDrawing(width, 2 * (MARGIN + RADIUS) + ROW_GAP * (rows - 1), tuple(nodes), tuple(edges))
+    width, height = 2 * border + gap * (len(layers) - 1), 2 * border + ROW_GAP * (rows - 1)
+    return AutomatonDrawing(width, height, tuple(nodes), tuple(edges))
 
 
 def _steps(automaton: Automaton) -> nx.DiGraph:
-    """The states that advancing steps reach, with the objects of each step."""
+    """The states that advancing steps reach, with the objects of each step as the edges' ``names``."""
     graph = nx.DiGraph()
     graph.add_node(automaton.initial)
-    waiting = [automaton.initial]
-    for state in waiting:
-        for obj, name in enumerate(automaton.propositions):
-            if automaton.advancing[state, obj]:
-                after = int(automaton.transitions[state, obj])
-                if after not in graph:
-                    waiting.append(after)
-                if graph.has_edge(state, after):
-                    graph.edges[state, after]["names"].append(name)
-                else:
-                    graph.add_edge(state, after, names=[name])
-    return graph
+    for state, obj in np.argwhere(automaton.advancing).tolist():
+        after = int(automaton.transitions[state, obj])
+        names = graph.edges[state, after]["names"] if graph.has_edge(state, after) else []
+        graph.add_edge(state, after, names=[*names, automaton.propositions[obj]])
+    return graph.subgraph({automaton.initial, *nx.descendants(graph, automaton.initial)})
 
 
 def _layers(graph: nx.DiGraph, initial: int) -> list[list[int]]:
     """States by layer, each layer in the order of the middles of its predecessors."""
-    if nx.is_directed_acyclic_graph(graph):
-        layers = [list(layer) for layer in nx.topological_generations(graph)]
-    else:
-        layers = [list(layer) for layer in nx.bfs_layers(graph, initial)]
-    rank = {state: 0.0 for state in layers[0]}
-    for layer in layers[1:]:
-        middle = {
-            state: sum(known) / len(known)
-            if (known := [rank[p] for p in graph.predecessors(state) if p in rank])
-            else 0
-            for state in layer
-        }
+    acyclic = nx.is_directed_acyclic_graph(graph)
+    layers = list(map(list, nx.topological_generations(graph) if acyclic else nx.bfs_layers(graph, initial)))
+    rank: dict[int, float] = {}
+    for layer in layers:
+        middle = {s: np.mean([rank[p] for p in graph.predecessors(s) if p in rank] or [0]) for s in layer}
         layer.sort(key=lambda state: (middle[state], state))
         rank |= {state: row - (len(layer) - 1) / 2 for row, state in enumerate(layer)}
     return layers
@@ -128,23 +113,18 @@ def _label(names: Sequence[str]) -> tuple[str, ...]:
     return (shown[0], *(f"or {name}" for name in shown[1:]))
 
 
-def _edge(start: tuple[float, float], end: tuple[float, float], lines: tuple[str, ...], bent: bool) -> StateEdge:
-    """A line from border to border; bent where it would run through the states between."""
-    (x0, y0), (x1, y1) = start, end
-    length = math.hypot(x1 - x0, y1 - y0)
-    side = BULGE * length if bent else 0.0
-    control = ((x0 + x1) / 2 + side * (y1 - y0) / length, (y0 + y1) / 2 - side * (x1 - x0) / length)
-    ax, ay = _towards(start, control, RADIUS)
-    bx, by = _towards(end, control, RADIUS + ARROW)
+def _edge(start: complex, end: complex, lines: tuple[str, ...], bent: bool) -> StateEdge:
+    """A line from border to border, bent where it would run through the states between; places are x + y i."""
+    control = (start + end) / 2 - 1j * (end - start) * (BULGE if bent else 0)
+    first, last = _towards(start, control, RADIUS), _towards(end, control, RADIUS + ARROW)
     t = LABEL_AT
-    x, y = (
-        (1 - t) ** 2 * a + 2 * t * (1 - t) * c + t**2 * b for a, c, b in ((ax, control[0], bx), (ay, control[1], by))
-    )
-    path = f"M{ax:.1f} {ay:.1f}Q{control[0]:.1f} {control[1]:.1f} {bx:.1f} {by:.1f}"
-    return StateEdge(path, lines, x, y)
+    label = (1 - t) ** 2 * first + 2 * t * (1 - t) * control + t**2 * last
+    return StateEdge(f"M{_xy(first)}Q{_xy(control)} {_xy(last)}", lines, label.real, label.imag)
 
 
-def _towards(start: tuple[float, float], target: tuple[float, float], distance: float) -> tuple[float, float]:
-    dx, dy = target[0] - start[0], target[1] - start[1]
-    length = math.hypot(dx, dy)
-    return start[0] + distance * dx / length, start[1] + distance * dy / length
+def _towards(start: complex, target: complex, distance: float) -> complex:
+    return start + distance * (target - start) / abs(target - start)
+
+
+def _xy(place: complex) -> str:
+    return f"{place.real:.1f} {place.imag:.1f}"

@@ -1,4 +1,4 @@
-"""Draws a home as a floor plan: rooms, doors, furniture with what it holds, and where the robot can be."""
+"""Draw a home as a floor plan: rooms, doors, furniture with its contents, and where the robot can be."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,8 +28,8 @@ WALL_COLOR, ACCESS_COLOR, BLOCKED_COLOR = "#3b3f45", "#1f6fb2", "#00000018"
 WALL_WIDTH_PT = 2.4
 MARGIN_M = 0.3
 ROOM_FONT_PT, MAX_FONT_PT, MIN_FONT_PT = 7.0, 6.0, 2.5
-"""A label is as large as its furniture allows between the last two sizes; where even the smallest does not fit, there
-is none."""
+"""A label is as large as its furniture allows, between the last two sizes; it is left out where even the smallest does
+not fit."""
 POINTS_PER_INCH = 72
 CHAR_WIDTH, LINE_HEIGHT = 0.65, 1.3
 """Relative to the font's size."""
@@ -70,7 +70,7 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
 
 
 def draw_rooms(home: Home, ax: Axes) -> None:
-    """Draw floors, walls, doors and the furniture that is no container; containers go on top, at zorder 2 to 3."""
+    """Draw floors, walls, doors and the furniture other than containers, which go on top at zorder 2 to 3."""
     xs, ys = zip(*(point for room in home.rooms for point in room.polygon), strict=True)
     ax.set_xlim(min(xs) - MARGIN_M, max(xs) + MARGIN_M)
     ax.set_ylim(min(ys) - MARGIN_M, max(ys) + MARGIN_M)
@@ -151,7 +151,7 @@ def clear_spot(home: Home, room: Room) -> tuple[float, float]:
 
 
 def _label(lines: list[str], footprint: Polygon, ax: Axes) -> None:
-    """Writes the lines into a piece of furniture, along its longer side; only the last where all do not fit."""
+    """Write the lines into a piece of furniture, along its longer side; drop the first ones where not all fit."""
     shape = ShapelyPolygon(footprint)
     x0, y0, x1, y1 = shape.bounds
     turn = 90 if y1 - y0 > 1.3 * (x1 - x0) else 0

@@ -1,7 +1,7 @@
-"""An episode to be watched: what each planner's robots did, what the team believed, and why each plan was chosen.
+"""An episode to watch: what each planner's robots did, what the team believed, and why each plan was chosen.
 
-The record is made from an episode's trace, which every row keeps, and from its decisions, which a run of the same
-episode tells to a `Recorder`. Without decisions it still shows the drives, what was found, and the task's progress.
+It is made from an episode's trace, which every row keeps, and from its decisions, which a `Recorder` collects during a
+run of the same episode. Without decisions it still shows the drives, the finds and the task's progress.
 """
 
 import re
@@ -27,7 +27,7 @@ from mrtask.tasks.automaton import Automaton
 from mrtask.tasks.templates import TEMPLATES
 
 MAX_CANDIDATES = 12
-"""Of a decision's candidate actions, the most visited are listed."""
+"""Only the most visited candidate actions of a decision are listed."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Action:
-    """What one robot does after a decision. ``given`` by this decision, or kept from an earlier one."""
+    """What one robot does after a decision; ``new``: by this decision, not an earlier one."""
 
     robot: int
     container: int
     """-1: waits."""
     text: str
-    given: bool
+    new: bool
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Decision:
-    """A decision: what the team believed, what was weighed and what was chosen."""
+    """A decision: the team's belief, the candidates and the choice."""
 
     t_s: float
     belief: Floats
@@ -85,11 +85,11 @@ class Decision:
     """Whose candidates are listed; -1 where there are none."""
     candidates: tuple[Candidate, ...]
     unlisted: int
-    """Candidates that are not listed, because they were visited less."""
+    """The number of further candidates, which were visited less."""
     expected_s: float | None
-    """What the planner expected the rest to take; None where it expects nothing."""
+    """The time to go that the planner expected; None where it made no estimate."""
     remaining_s: float | None
-    """What the rest took; None where the task was not finished."""
+    """The time that it then took; None where the task was not finished."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Episode:
-    """What a run of a replay is made from: the row's outcome, its trace, and its decisions if they were recorded."""
+    """The source of a replay's run: the row's outcome, its trace, and its decisions if they were recorded."""
 
     planner: str
     status: str
@@ -203,8 +203,8 @@ def make_replay(
 def existence_belief(presence_prob: Floats, searched: Bools) -> Floats:
     """[C, O] the probability that each container holds each object, given that every object exists somewhere.
 
-    That is the belief of a planner who knows that the task can be done: each container searched in vain makes the
-    others likelier. An object that was found needs no such inference.
+    This is the belief of a planner that knows that the task can be done: each container searched without success makes
+    the others likelier. An object that was found needs no such inference.
     """
     found = ((presence_prob > 0) & searched[:, None]).any(axis=0)
     somewhere = 1.0 - np.prod(np.where(searched[:, None], 1.0, 1.0 - presence_prob), axis=0)
@@ -225,12 +225,10 @@ def task_in_words(template: str, formula: str, objects: Sequence[str]) -> str:
 def container_names(home: Home) -> tuple[str, ...]:
     """``Fridge``, ``Chair 1``, ``Chair 2``: the type, numbered where the home has several."""
     types = [container.type for container in home.containers]
-    seen: dict[str, int] = {}
-    names = []
-    for kind in types:
-        seen[kind] = seen.get(kind, 0) + 1
-        names.append(kind if types.count(kind) == 1 else f"{kind} {seen[kind]}")
-    return tuple(names)
+    numbers = [types[: index + 1].count(kind) for index, kind in enumerate(types)]
+    return tuple(
+        kind if types.count(kind) == 1 else f"{kind} {number}" for kind, number in zip(types, numbers, strict=True)
+    )
 
 
 def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str]) -> Run:
@@ -239,25 +237,16 @@ def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str
     unknown = {leg.container for legs in trace.robots for leg in legs if leg.container} - place.keys()
     if unknown:
         raise ValueError(f"the trace of {episode.planner} names {sorted(unknown)[0]!r}, which home {home.id} lacks")
-    finds = sorted(
-        (
-            Find(
-                leg.t1_s,
-                robot,
-                place[leg.container],
-                tuple(
-                    index
-                    for index, name in enumerate(automaton.propositions)
-                    if name in home.containers[place[leg.container]].objects
-                ),
-                leg.path[0],
-            )
-            for robot, legs in enumerate(trace.robots)
-            for leg in legs
-            if leg.kind == "search" and leg.container
-        ),
-        key=lambda find: (find.t_s, find.robot),
-    )
+    held = [
+        tuple(index for index, name in enumerate(automaton.propositions) if name in container.objects)
+        for container in home.containers
+    ]
+    finds = [
+        Find(leg.t1_s, robot, place[leg.container], held[place[leg.container]], leg.path[0])
+        for robot, legs in enumerate(trace.robots)
+        for leg in legs
+        if leg.kind == "search" and leg.container
+    ]
     states = [(0.0, automaton.initial)]
     for letter in trace.letters:
         states.append((letter.t_s, automaton.run([letter.object], states[-1][1])))
@@ -267,7 +256,7 @@ def _run(episode: Episode, automaton: Automaton, home: Home, names: Sequence[str
         cost_s=episode.cost_s,
         error=episode.error,
         trace=trace,
-        finds=tuple(finds),
+        finds=tuple(sorted(finds, key=lambda find: (find.t_s, find.robot))),
         states=tuple(states),
         decisions=tuple(_decision(observed, episode.cost_s, names) for observed in episode.decisions),
     )
@@ -301,10 +290,10 @@ def _decision(observed: Observed, cost_s: float | None, names: Sequence[str]) ->
 
 
 def _action(
-    robot: int, status: RobotStatus, given: Assignment | None, names: Sequence[str], objects: Sequence[str]
+    robot: int, status: RobotStatus, assigned: Assignment | None, names: Sequence[str], objects: Sequence[str]
 ) -> Action:
-    if given is not None:
-        return Action(robot, given.container, _told(given, names, objects), True)
+    if assigned is not None:
+        return Action(robot, assigned.container, _told(assigned, names, objects), True)
     if status.target >= 0:
         return Action(robot, status.target, f"on to {names[status.target]}", False)
     if status.interacting >= 0:

@@ -1,11 +1,12 @@
-"""The page of a replay: one HTML file with its picture, script and style, that loads nothing from elsewhere.
+"""The page of a replay: one HTML file that contains its picture, script and style and loads nothing.
 
-Everything to be read is in the HTML, laid out here and by ``replay.html.jinja``; the script (``replay.js``) only moves
-what is there and shows the decision of the present time. So it is whole without scripts, and nothing that a home or a
-task is called can become code: text is escaped by the templates, the data block by `script_json`.
+All text is in the HTML, laid out here and by ``replay.html.jinja``; the script (``replay.js``) only moves things and
+shows the decision at the current time. So the page is complete without scripts, and no name of a home or a task can
+become code: the templates escape text, and `script_json` the data block.
 """
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,8 +18,8 @@ from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, clear_spot, passage
 from mrtask.analysis.drawing.replay_content import Decision, Replay, Run
 from mrtask.analysis.drawing.sheet import Sheet
 from mrtask.analysis.drawing.trajectories import place_at
+from mrtask.analysis.page.rendering import render_fragment, script_digest, template_text
 from mrtask.analysis.page.style import ROBOT_COLORS
-from mrtask.analysis.page.templating import render_fragment, script_digest, template_text
 from mrtask.names import counted
 
 MIN_LABEL_AREA_M2 = 0.3
@@ -28,11 +29,11 @@ CHART_LEFT, CHART_RIGHT, CHART_TOP, CHART_BOTTOM = 44, 12, 8, 24
 CHART_SLACK, CHART_LEAST_SPAN = 0.15, 0.1
 MIN_TICK_GAP = 14
 EDGE_SHARE = 0.14
-"""Labels this near to a side of the picture run away from it."""
+"""Labels this close to a side of the picture extend away from it."""
 
 
 def render_replay(replay: Replay, command: str | None = None) -> str:
-    """The page; ``command`` makes it again."""
+    """The page; ``command`` is the command that makes it again."""
     script, style = template_text("replay.js"), template_text("replay.css")
     sheet = Sheet.of(replay.home)
     return render_fragment(
@@ -41,6 +42,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         command=command,
         sheet=sheet,
         floor=_floor(replay, sheet),
+        min_label_area_m2=MIN_LABEL_AREA_M2,
         runs=[_run_view(run, replay, sheet) for run in replay.runs],
         automaton=draw_automaton(replay.automaton),
         state_radius=RADIUS,
@@ -55,13 +57,13 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
 
 
 def script_json(data: object) -> Markup:
-    """JSON to stand in a script element, whatever its strings hold."""
+    """JSON that is safe in a script element, whatever its strings contain."""
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def page_data(replay: Replay, sheet: Sheet) -> dict[str, Any]:
-    """What the script moves, in centimetres of the picture and seconds; beliefs in thousandths by object."""
+    """The data that the script moves, in centimetres of the picture and seconds; beliefs in thousandths by object."""
     place = {container.id: index for index, container in enumerate(replay.home.containers)}
     number = {name: index for index, name in enumerate(replay.objects)}
 
@@ -109,8 +111,7 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
         }
         for room in home.rooms
     ]
-    ways_out = [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]]
-    containers = [
+    containers: list[dict[str, Any]] = [
         {
             "index": index,
             "name": replay.names[index],
@@ -118,19 +119,17 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
             "middle": sheet.middle(container.footprint),
             "side": _side(sheet.middle(container.footprint)[0], sheet.width),
             "held": [name for name, here in zip(replay.objects, holds[index], strict=True) if here],
-            "labelled": ShapelyPolygon(container.footprint).area > MIN_LABEL_AREA_M2,
+            "area_m2": ShapelyPolygon(container.footprint).area,
         }
         for index, container in enumerate(home.containers)
     ]
-    # Small furniture stands partly under large.
-    containers.sort(key=lambda view: -ShapelyPolygon(home.containers[view["index"]].footprint).area)
-    obstacles = [sheet.points(obstacle.footprint) for obstacle in home.obstacles]
     return {
         "rooms": rooms,
         "doors": [sheet.points(line) for line in passages(home)],
-        "ways_out": ways_out,
-        "containers": containers,
-        "obstacles": obstacles,
+        "ways_out": [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]],
+        # Small furniture stands partly under large.
+        "containers": sorted(containers, key=lambda view: -view["area_m2"]),
+        "obstacles": [sheet.points(obstacle.footprint) for obstacle in home.obstacles],
     }
 
 
@@ -140,13 +139,13 @@ def _side(x: float, width: float) -> str:
 
 def _run_view(run: Run, replay: Replay, sheet: Sheet) -> dict[str, Any]:
     ends = [legs[-1].path[-1] if legs else run.trace.start for legs in run.trace.robots]
-    marks: dict[tuple[int, int, int], list[str]] = {}
+    marks: Counter[tuple[int, int, int]] = Counter()
     stars = []
     for letter in run.trace.letters:
         x, y = sheet.point(place_at(run.trace.robots[letter.robot], letter.t_s, run.trace.start))
-        above = len(marks.setdefault((letter.robot, x, y), []))
-        marks[letter.robot, x, y].append(letter.object)
+        above = marks[letter.robot, x, y]
         stars.append({"x": x, "y": y, "above": above, "robot": letter.robot, "t": letter.t_s, "text": letter.object})
+        marks[letter.robot, x, y] += 1
     return {
         "run": run,
         "status": _status_text(run),
@@ -193,7 +192,7 @@ def _decision_view(decision: Decision, run: Run) -> dict[str, Any]:
 
 
 def _verdict(decision: Decision) -> str | None:
-    """What the planner expected of the rest, against what it came to."""
+    """The time to go that the planner expected, against the time it took."""
     if decision.expected_s is None:
         return None
     expected = f"expected {decision.expected_s:.1f} s to go"
@@ -201,11 +200,11 @@ def _verdict(decision: Decision) -> str | None:
         return f"{expected}; the task was not finished"
     off_s = round(decision.remaining_s, 1) - round(decision.expected_s, 1)
     how = f", {abs(off_s):.1f} s {'more' if off_s > 0 else 'less'}" if off_s else ""
-    return f"{expected}; it came to {abs(decision.remaining_s):.1f} s{how}"
+    return f"{expected}; it took {abs(decision.remaining_s):.1f} s{how}"
 
 
 def _chart(run: Run) -> dict[str, Any] | None:
-    """When the planner expected to finish, as time went on; None where it expects nothing."""
+    """When the planner expected to finish, over time; None where it made no estimates."""
     known = [(one.t_s, one.t_s + one.expected_s) for one in run.decisions if one.expected_s is not None]
     if len(known) < 2:
         return None
@@ -244,9 +243,6 @@ def _gap_text(runs: Sequence[Run]) -> str | None:
     first = runs[0].cost_s if runs else None
     if first is None:
         return None
-    parts = []
-    for run in runs[1:]:
-        if run.cost_s:
-            share = 100 * (1 - first / run.cost_s)
-            parts.append(f"{abs(share):.0f} % {'sooner' if share >= 0 else 'later'} than {run.label}")
+    shares = {run.label: 100 * (1 - first / run.cost_s) for run in runs[1:] if run.cost_s}
+    parts = [f"{abs(share):.0f} % {'sooner' if share >= 0 else 'later'} than {name}" for name, share in shares.items()]
     return f"{runs[0].label} is done {', '.join(parts)}." if parts else None

@@ -13,7 +13,7 @@ MARGIN_M = 0.3
 
 @dataclass(frozen=True)
 class Sheet:
-    """Turns metres with y up into the picture's centimetres with y down."""
+    """Convert metres with y up into the picture's centimetres with y down."""
 
     x0_m: float
     y1_m: float
@@ -32,7 +32,7 @@ class Sheet:
         return round((point[0] - self.x0_m) * CM_PER_M), round((self.y1_m - point[1]) * CM_PER_M)
 
     def points(self, points: Sequence[Point]) -> str:
-        """``x,y x,y`` as SVG's polygons have it."""
+        """``x,y x,y``, the format of SVG's polygons."""
         return " ".join(f"{x},{y}" for x, y in map(self.point, points))
 
     def middle(self, polygon: Polygon) -> tuple[int, int]:

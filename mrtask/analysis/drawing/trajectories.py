@@ -1,7 +1,7 @@
-"""Drawn episodes: a home's floor plan with where each robot drove, searched and interacted, planner beside baseline.
+"""Drawings of episodes: a floor plan with each robot's path, searches and interactions, planner beside baseline.
 
-The trials drawn are chosen by rule, not by eye: among those of the largest team, where the planner saved most against
-the baseline, where it saved the median, and where it lost most.
+A rule chooses the trials: among those of the largest team, the one where the planner saved most against the baseline,
+the median one, and the one where it lost most.
 """
 
 import json
@@ -20,17 +20,18 @@ from matplotlib.patches import Polygon as DrawnPolygon
 from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.analysis.drawing.floor_plans import draw_rooms
+from mrtask.analysis.page.charts import panels
 from mrtask.analysis.page.style import (
     BLACK,
     GREY,
     ROBOT_LINES,
     YELLOW,
     house_style,
-    new_figure,
     planner_label,
     robot_color,
 )
-from mrtask.analysis.results.statistics import BASELINES, INFORMED_BASELINE, paired_costs
+from mrtask.analysis.results.roles import BASELINES, INFORMED_BASELINE
+from mrtask.analysis.results.statistics import paired_costs
 from mrtask.execution.trace import Leg, Trace
 from mrtask.homes.home import Container, Home, Point
 
@@ -39,7 +40,8 @@ PANEL_WIDTH_IN, MAX_HEIGHT_IN = 5.3, 6.5
 MIN_SHOWN_WAIT_S = 0.5
 MIN_ARROW_M = 0.6
 MIN_LABEL_AREA_M2 = 0.3
-"""Smaller furniture is labelled only where it matters to the episode."""
+"""Smaller furniture is labelled only where it plays a part in the episode."""
+CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center"}
 BACKDROP = {"facecolor": "white", "alpha": 0.55, "linewidth": 0, "pad": 0.6}
 ONE_PLANNER_PICKS = ("the longest", "the median", "the shortest")
 PAIRED_PICKS = ("most saved", "median saved", "least saved")
@@ -56,41 +58,40 @@ class Pick:
 
 
 def instructive_trials(
-    episodes: pd.DataFrame, planner: str, baseline: str | None, home_ids: Collection[str] | None = None
+    episodes: pd.DataFrame, planner: str, baseline: str | None = None, home_ids: Collection[str] | None = None
 ) -> list[Pick]:
     """The trials of the largest team where ``planner`` saved most seconds against ``baseline``, the median, and fewest.
 
     Without a baseline: the longest, the median and the shortest. Trials of homes outside ``home_ids`` (None: any home)
-    or without traces, where there is a column ``trace``, are passed over for the next in rank.
+    or, if there is a column ``trace``, without traces are skipped in favour of the next in rank.
     """
     if "home_id" not in episodes.columns:
         return []
-    traced = episodes[(episodes["status"] == "accepted") & episodes["home_id"].notna()]
-    if "trace" in traced.columns:
-        traced = traced[traced["trace"].notna()]
-    costs = paired_costs(traced)
+    rows = episodes[(episodes["status"] == "accepted") & episodes["home_id"].notna()]
+    if "trace" in rows.columns:
+        rows = rows[rows["trace"].notna()]
     names = [planner] if baseline is None else [planner, baseline]
-    if not set(names) <= set(costs.columns) or costs[names].dropna().empty:
+    costs = paired_costs(rows).reindex(columns=names).dropna()
+    trials = rows.drop_duplicates("trial_id").set_index("trial_id").loc[costs.index]
+    costs = costs[trials["robots"] == trials["robots"].max()]
+    if costs.empty:
         return []
-    costs = costs[names].dropna()
-    team_of = traced.drop_duplicates("trial_id").set_index("trial_id")["robots"].loc[costs.index]
-    costs = costs[(team_of == team_of.max()).to_numpy()]
     gain = costs[planner] if baseline is None else costs[baseline] - costs[planner]
-    order = gain.rename("gain").reset_index().sort_values(["gain", "trial_id"], ascending=[False, True])["trial_id"]
-    home_of = traced.drop_duplicates("trial_id").set_index("trial_id")["home_id"].astype(str)
-    ranked = [(str(trial), str(home_of[trial])) for trial in order]
+    ranked = gain.rename("gain").reset_index().sort_values(["gain", "trial_id"], ascending=[False, True])["trial_id"]
+    homes = ranked.map(trials["home_id"].astype(str))
+    candidates = list(zip(ranked.astype(str), homes, strict=True))
     reasons = list(ONE_PLANNER_PICKS if baseline is None else PAIRED_PICKS)
     if baseline is not None and gain.min() < 0:
         reasons[-1] = LOST_PICK
-    last = len(ranked) - 1
-    picks: list[Pick] = []
+    last = len(candidates) - 1
+    picks: dict[str, Pick] = {}
     for rank, reason in zip((0, last // 2, last), reasons, strict=True):
-        for index in np.argsort(np.abs(np.arange(len(ranked)) - rank), kind="stable"):
-            trial, home_id = ranked[index]
-            if (home_ids is None or home_id in home_ids) and all(trial != pick.trial_id for pick in picks):
-                picks.append(Pick(trial, home_id, reason if index == rank else f"near {reason}"))
+        for index in sorted(range(len(candidates)), key=lambda other: abs(other - rank)):
+            trial, home_id = candidates[index]
+            if trial not in picks and (home_ids is None or home_id in home_ids):
+                picks[trial] = Pick(trial, home_id, reason if index == rank else f"near {reason}")
                 break
-    return picks
+    return list(picks.values())
 
 
 def baseline_beside(planners: Iterable[str], planner: str) -> str | None:
@@ -100,6 +101,7 @@ def baseline_beside(planners: Iterable[str], planner: str) -> str | None:
     return next((name for name in candidates if name in ran and name != planner), None)
 
 
+@house_style()
 def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
     """One panel per planner of the same trial.
 
@@ -108,20 +110,18 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
     """
     xs, ys = np.array([point for room in home.rooms for point in room.polygon]).T
     aspect = max(float(np.ptp(ys)), 1.0) / max(float(np.ptp(xs)), 1.0)
-    height = min(PANEL_WIDTH_IN * aspect, MAX_HEIGHT_IN)
-    with house_style():
-        figure = new_figure(PANEL_WIDTH_IN * max(len(episodes), 1), height + 0.9)
-        panels = figure.subplots(1, len(episodes), squeeze=False)[0]
-        robots, waited = 0, False
-        for axes, (planner, row) in zip(panels, episodes.items(), strict=True):
-            trace = Trace.from_json(row["trace"])
-            robots = max(robots, len(trace.robots))
-            waited |= any(_is_shown_wait(leg) for legs in trace.robots for leg in legs)
-            draw_searched_home(axes, home, task_objects(row.get("objects")), _visited(trace))
-            draw_trace(axes, trace, home)
-            axes.set_title(f"{planner_label(planner)}: {row['cost_s']:.1f} s")
-            axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
-        figure.legend(handles=_legend(robots, waited), loc="outside lower center", ncols=8, fontsize=8)
+    height_in = min(PANEL_WIDTH_IN * aspect, MAX_HEIGHT_IN) + 0.9
+    figure, (line,) = panels(PANEL_WIDTH_IN * max(len(episodes), 1), height_in, columns=len(episodes))
+    traces = {planner: Trace.from_json(row["trace"]) for planner, row in episodes.items()}
+    for axes, (planner, row) in zip(line, episodes.items(), strict=True):
+        trace = traces[planner]
+        draw_searched_home(axes, home, task_objects(row.get("objects")), _visited(trace))
+        draw_trace(axes, trace, home)
+        axes.set_title(f"{planner_label(planner)}: {row['cost_s']:.1f} s")
+        axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
+    waited = any(_is_shown_wait(leg) for trace in traces.values() for legs in trace.robots for leg in legs)
+    robots = max((len(trace.robots) for trace in traces.values()), default=0)
+    figure.legend(handles=_legend(robots, waited), loc="outside lower center", ncols=8, fontsize=8)
     return figure
 
 
@@ -133,17 +133,7 @@ def draw_searched_home(axes: Axes, home: Home, objects: Sequence[str] = (), labe
         _draw_container(axes, container, held, container.id in labelled)
     for room in home.rooms:
         place = ShapelyPolygon(room.polygon).representative_point()
-        axes.text(
-            place.x,
-            place.y,
-            room.type,
-            ha="center",
-            va="center",
-            fontsize=7.5,
-            color="#9a9a9a",
-            style="italic",
-            zorder=2.2,
-        )
+        axes.text(place.x, place.y, room.type, **CENTERED, fontsize=7.5, color="#9a9a9a", style="italic", zorder=2.2)
 
 
 def _draw_container(axes: Axes, container: Container, held: Sequence[str], labelled: bool) -> None:

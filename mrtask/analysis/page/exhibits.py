@@ -1,4 +1,4 @@
-"""Tables and pictures with names: what a section of the report shows, and what lies as files beside it for papers."""
+"""Named tables and pictures, which a section of the report shows and which lie as files for papers beside it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ from functools import cached_property
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from mrtask.analysis.page.columns import Table
 from mrtask.analysis.page.style import data_uri, pdf_bytes, svg_bytes
+from mrtask.analysis.page.tables import Table
 
 TABLES, FIGURES = "tables", "figures"
 """The folders beside the page."""
@@ -21,7 +21,7 @@ class ShownTable:
     name: str
     """The name of its files, without folder and ending."""
     title: str
-    """What it shows, for whoever sees only the file."""
+    """Its title, for readers who see only the file."""
     table: Table
     corner: str
     """The heading of the rows' labels."""
@@ -45,12 +45,12 @@ class Picture:
 
     @cached_property
     def svg(self) -> bytes:
-        """As it is on the page."""
+        """The figure as the page shows it."""
         return svg_bytes(self.figure)
 
     @property
     def pdf(self) -> bytes:
-        """For papers."""
+        """The figure for papers."""
         return pdf_bytes(self.figure)
 
     @property
@@ -66,7 +66,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Content:
-    """What a section shows: its HTML, and the tables and pictures in it."""
+    """A section's content: its HTML, and the tables and pictures in it."""
 
     html: Markup
     tables: Sequence[ShownTable] = ()
@@ -74,4 +74,4 @@ class Content:
     files: Mapping[str, str] = field(default_factory=dict)
     """Other files beside the page: path -> content."""
     in_short: str = ""
-    """What the page's answer says of it, with a link."""
+    """A sentence for the page's answer, with a link to the section."""

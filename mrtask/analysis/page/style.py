@@ -1,4 +1,4 @@
-"""How figures and tables look, the same in all of them: labels, colours, markers, units.
+"""The common look of all figures and tables: labels, colours, markers, units.
 
 Colours are Okabe and Ito's, which people with colour-vision deficiencies tell apart (https://jfly.uni-koeln.de/color/).
 """
@@ -96,7 +96,7 @@ def robot_color(index: int) -> str:
 
 
 def planner_label(planner: str) -> str:
-    """What figures and tables call a planner: its name; of an import path, the last part."""
+    """A planner's name in figures and tables; of an import path, the last part."""
     return planner.rsplit(".", 1)[-1]
 
 

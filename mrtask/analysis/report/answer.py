@@ -1,6 +1,6 @@
-"""The answer in words, computed from the data: is the planner better than the baselines, and than was published?
+"""The answer in words, computed from the data: does the planner beat the baselines, and the published results?
 
-Every sentence stays true whatever is missing: planners, cells, finished episodes; and also when the planner loses.
+Every sentence stays true when planners, cells or finished episodes are missing, and when the planner loses.
 """
 
 from collections.abc import Sequence
@@ -8,20 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.rendering import Findings
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import (
-    BASELINES,
-    EVERYTHING,
-    INFORMED_BASELINE,
-    MIN_TRIALS_FOR_INTERVAL,
-    REFERENCES,
-    Cell,
-    Estimate,
-    Summary,
-    cell_name,
-)
+from mrtask.analysis.results.roles import BASELINES, INFORMED_BASELINE, REFERENCES
+from mrtask.analysis.results.statistics import EVERYTHING, MIN_TRIALS_FOR_INTERVAL, Cell, Estimate, Summary, cell_name
 from mrtask.names import counted
 
 MIN_PAIRS = 30
@@ -36,19 +27,17 @@ SINGLE_VALUED = ("config_hash", "code_version", "model_version")
 def find(summary: Summary, published: Published, planner: str | None) -> Findings:
     """The findings on ``planner`` against the baselines that ran."""
     if planner is None:
-        return Findings("No answer", "There are no episodes yet.", (), ())
+        return Findings("No answer", "There are no episodes yet.")
     name = planner_label(planner)
-    against = [b for b in BASELINES if b != planner and (EVERYTHING, planner, b) in summary.comparisons]
-    pooled = {b: summary.comparisons[EVERYTHING, planner, b].improvement for b in against}
-    shown = {b: estimate for b, estimate in pooled.items() if estimate.defined}
+    others = [baseline for baseline in BASELINES if baseline != planner]
+    pooled = {baseline: summary.improvement(EVERYTHING, planner, baseline) for baseline in others}
+    shown = {baseline: estimate for baseline, estimate in pooled.items() if estimate.defined}
     warnings = (*partial_results(summary), *_warnings(summary, planner))
     if not shown:
-        reason = (
-            "no trial was finished by both it and a baseline"
-            if against
-            else f"none of the baselines {' and '.join(b for b in BASELINES if b != planner)} ran"
-        )
-        return Findings("No answer", f"{name} cannot be compared with the baselines: {reason}.", (), warnings)
+        reason = f"none of the baselines {' and '.join(others)} ran"
+        if any(summary.compared(planner, baseline) for baseline in others):
+            reason = "no trial was finished by both it and a baseline"
+        return Findings("No answer", f"{name} cannot be compared with the baselines: {reason}.", warnings=warnings)
     # The harder baseline, which a reader asks about first, opens the sentence.
     parts = [f"{_than(estimate)} {planner_label(b)} ({_interval(estimate)})" for b, estimate in reversed(shown.items())]
     headline = f"Over {_trials(shown)}, {name} finishes its tasks {' and '.join(parts)}."
@@ -59,7 +48,7 @@ def find(summary: Summary, published: Published, planner: str | None) -> Finding
 
 
 def partial_results(summary: Summary) -> tuple[str, ...]:
-    """What a reader misses: planners that finished little or nothing, cells that they did not run, a single trial."""
+    """Warnings about missing results: planners that finished few episodes, cells they did not run, a single trial."""
     warnings = []
     for name in summary.planners:
         whole, label = summary.planner_cells[EVERYTHING, name], planner_label(name)
@@ -84,9 +73,9 @@ def _named(cells: Sequence[Cell]) -> str:
 
 
 def mixture_warnings(episodes: pd.DataFrame) -> list[str]:
-    """Warns where the rows of one variant come from several configurations, code or model versions.
+    """Warn where the rows of one variant come from several configurations, code versions or model versions.
 
-    Each planner has a configuration of its own, and each of the cells of a sweep that make one variant together.
+    Each planner has its own configuration, and so has each of the cells of a sweep that together make one variant.
     """
     warnings = []
     in_sweep = "sweep" in episodes.columns and episodes["sweep"].nunique() > 1
@@ -108,12 +97,11 @@ def percent(value: float) -> str:
 
 def _verdict(estimates: Sequence[Estimate]) -> str:
     better = [estimate.low > 0 for estimate in estimates]
-    worse = [estimate.high < 0 for estimate in estimates]
     if all(better):
         return "Yes"
-    if any(worse):
-        return "Only in part" if any(better) else "No"
-    return "Only in part" if any(better) else "Not shown"
+    if any(better):
+        return "Only in part"
+    return "No" if any(estimate.high < 0 for estimate in estimates) else "Not shown"
 
 
 def _than(estimate: Estimate) -> str:
@@ -135,12 +123,8 @@ def _trials(estimates: dict[str, Estimate]) -> str:
 
 
 def _cells_sentence(summary: Summary, planner: str, baseline: str) -> str:
-    found = {
-        cell: summary.comparisons[cell, planner, baseline].improvement
-        for cell in summary.cells
-        if (cell, planner, baseline) in summary.comparisons
-    }
-    found = {cell: estimate for cell, estimate in found.items() if estimate.defined}
+    estimates = {cell: summary.improvement(cell, planner, baseline) for cell in summary.cells}
+    found = {cell: estimate for cell, estimate in estimates.items() if estimate.defined}
     ahead = sum(estimate.value > 0 for estimate in found.values())
     clear = sum(estimate.low > 0 for estimate in found.values())
     behind = sum(estimate.high < 0 for estimate in found.values())
@@ -158,13 +142,13 @@ def _cells_sentence(summary: Summary, planner: str, baseline: str) -> str:
 
 
 def _published_sentences(summary: Summary, published: Published, planner: str, baselines: Sequence[str]) -> list[str]:
-    pairs = []
-    for baseline in baselines:
-        for cell in summary.cells:
-            printed = published.improvement_of(planner, baseline, cell)
-            comparison = summary.comparisons.get((cell, planner, baseline))
-            if printed is not None and comparison and comparison.improvement.defined:
-                pairs.append((comparison.improvement, printed))
+    pairs = [
+        (estimate, printed)
+        for baseline in baselines
+        for cell in summary.cells
+        if (printed := published.improvement_of(planner, baseline, cell)) is not None
+        and (estimate := summary.improvement(cell, planner, baseline)).defined
+    ]
     if not pairs:
         return []
     above = sum(estimate.value > printed for estimate, printed in pairs)
@@ -181,13 +165,12 @@ def _published_sentences(summary: Summary, published: Published, planner: str, b
 
 def _reference_sentences(summary: Summary, planner: str) -> list[str]:
     sentences = []
-    for reference in REFERENCES:
-        comparison = summary.comparisons.get((EVERYTHING, planner, reference))
-        if reference not in BASELINES and comparison and comparison.improvement.defined:
-            estimate = comparison.improvement
+    for reference in [name for name in REFERENCES if name not in BASELINES]:
+        estimate = summary.improvement(EVERYTHING, planner, reference)
+        if estimate.defined:
             sentences.append(f"It finishes {_than(estimate)} {reference} ({_interval(estimate)}).")
-    gap = summary.gaps.get((EVERYTHING, planner))
-    if gap and gap.defined:
+    gap = summary.gap(EVERYTHING, planner)
+    if gap.defined:
         interval = f" (95 % interval {gap.low:.1f} to {gap.high:.1f})" if gap.has_interval else ""
         sentences.append(
             f"Of what knowing all contents would save over {INFORMED_BASELINE}, "
@@ -208,12 +191,13 @@ def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
         if comparison and comparison.only_baseline:
             warnings.append(
                 f"{planner_label(baseline)} finished {counted(comparison.only_baseline, 'trial')} that "
-                f"{planner_label(planner)} has not: they are in no comparison, which flatters the latter."
+                f"{planner_label(planner)} did not: they are in no comparison, which flatters the latter."
             )
     pairs = {
-        cell: comparison.improvement.n
-        for (cell, name, baseline), comparison in summary.comparisons.items()
-        if name == planner and baseline in BASELINES and cell in summary.cells
+        cell: pair.improvement.n
+        for baseline in BASELINES
+        for cell in summary.cells
+        if (pair := summary.comparisons.get((cell, planner, baseline)))
     }
     few = [cell for cell, n in pairs.items() if n < MIN_PAIRS]
     if few:

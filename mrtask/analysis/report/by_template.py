@@ -1,95 +1,76 @@
-"""Results by template: one planner against the others on the trials whose task has the same form."""
+"""Results by template: one planner against the others on the trials whose tasks have the same form."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
-import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
-from mrtask.analysis.page.columns import Column, Table, make_table
-from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.results.statistics import (
-    REFERENCES,
-    UNDEFINED,
-    Comparison,
-    Estimate,
-    PairedDraws,
-    compare,
-    improvement_of_means,
-    paired_costs,
-)
+from mrtask.analysis.page.charts import WIDTH_IN, panels, with_bars
+from mrtask.analysis.page.style import BLACK, house_style, planner_label, planner_looks
+from mrtask.analysis.page.tables import Column, Table, make_table
+from mrtask.analysis.report.planner_table import COST_CELLS, EPISODES, Result, improvement_over
+from mrtask.analysis.results.published import load_published
+from mrtask.analysis.results.roles import REFERENCES
+from mrtask.analysis.results.statistics import ALL_TEAMS, Summary, summarise_parts
 from mrtask.tasks.templates import TEMPLATES
 
-
-@dataclass(frozen=True)
-class TemplateResult:
-    """One planner on the trials of one template, all cells together."""
-
-    template: str
-    trials: int
-    finished: int
-    cost_cells: Estimate
-    comparisons: Mapping[str, Comparison]
-    """By the planner it is compared with."""
-
-    @property
-    def label(self) -> str:
-        """The template with its meaning, where it is one of ours."""
-        known = TEMPLATES.get(self.template)
-        return f"{self.template}: {known.meaning}" if known else self.template
-
-    def improvement(self, reference: str) -> Estimate:
-        """The improvement over another planner; `UNDEFINED` where the two are not compared."""
-        found = self.comparisons.get(reference)
-        return found.improvement if found else UNDEFINED
+ROW_IN = 0.27
+COLUMNS = (
+    replace(EPISODES, heading=("trials", "run")),
+    Column[Result](lambda result: result.found.accepted, ("trials", "finished")),
+    replace(COST_CELLS, details=None),
+)
 
 
-def results_by_template(rows: pd.DataFrame, planner: str | None) -> dict[str, TemplateResult]:
-    """Template -> result, in the order of `TEMPLATES`, then by name; empty where the rows name no template."""
+def results_by_template(rows: pd.DataFrame, planner: str | None) -> Summary | None:
+    """The statistics of each template the planner ran, as a cell ``(template, ALL_TEAMS)``; None without templates."""
     if planner is None or "template" not in rows.columns:
-        return {}
-    found: dict[str, TemplateResult] = {}
-    present = set(rows.loc[rows["planner"] == planner, "template"].dropna().astype(str))
-    for template in (*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))):
-        of_template = rows[rows["template"] == template]
-        costs, cells = paired_costs(of_template), paired_costs(of_template, "cost_cells")[planner]
-        own, place = costs[planner].to_numpy(), {name: index for index, name in enumerate(costs.columns)}
-        estimate = PairedDraws(np.column_stack([costs.to_numpy(), cells.to_numpy()])).estimate
-        found[template] = TemplateResult(
-            template=template,
-            trials=int((of_template["planner"] == planner).sum()),
-            finished=int(costs[planner].notna().sum()),
-            cost_cells=estimate(lambda means: means[..., 0], [len(place)]),
-            comparisons={
-                name: compare(
-                    own, costs[name].to_numpy(), estimate(improvement_of_means, [place[planner], place[name]])
-                )
-                for name in REFERENCES
-                if name in costs.columns and name != planner
-            },
-        )
-    return found
-
-
-def template_table(results: Mapping[str, TemplateResult]) -> Table | None:
-    """The results by template; None where there are none."""
-    if not results:
         return None
-    references = [name for name in REFERENCES if any(name in result.comparisons for result in results.values())]
-    columns = (
-        Column[TemplateResult](lambda result: result.trials, ("trials", "run")),
-        Column[TemplateResult](lambda result: result.finished, ("trials", "finished")),
-        Column[TemplateResult](lambda result: result.cost_cells, ("mean cost", "cells"), digits=1),
-        *(_improvement_over(name) for name in references),
-    )
-    return make_table(columns, [(result.label, result) for result in results.values()])
+    templates = templates_in_order(rows[rows["planner"] == planner])
+    parts = {(name, ALL_TEAMS): rows[rows["template"] == name] for name in templates}
+    return summarise_parts(rows, templates, [ALL_TEAMS], parts) if parts else None
 
 
-def _improvement_over(reference: str) -> Column[TemplateResult]:
-    return Column(
-        lambda result: result.improvement(reference),
-        ("improvement over", planner_label(reference)),
-        digits=1,
-        unit=" %",
-        higher_is_better=True,
-    )
+def templates_in_order(rows: pd.DataFrame) -> list[str]:
+    """The templates of these rows: ours in the order of `TEMPLATES`, then any others by name."""
+    present = set(rows["template"].dropna().astype(str))
+    return [*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))]
+
+
+def template_table(results: Summary, planner: str) -> Table:
+    """The planner's results by template."""
+    columns = (*COLUMNS, *(improvement_over(name) for name in _references(results, planner)))
+    published = load_published()
+    lines = ((_label(cell[0]), Result(results, published, cell, planner)) for cell in results.cells)
+    return make_table(columns, lines)
+
+
+@house_style()
+def draw_templates(results: Summary, planner: str) -> Figure | None:
+    """The improvement over each other planner with its interval, a line per template; None if nothing is compared."""
+    references = _references(results, planner)
+    cells = results.cells
+    found = {name: [results.improvement(cell, planner, name) for cell in cells] for name in references}
+    if not any(each.defined for estimates in found.values() for each in estimates):
+        return None
+    color, marker = planner_looks([planner])[planner]
+    looks = {"fmt": marker, "color": color, "markersize": 5.5, "elinewidth": 1.4, "capsize": 2.5}
+    height_in = ROW_IN * len(cells) + 1.0
+    figure, (line,) = panels(WIDTH_IN, height_in, columns=len(references), sharex=True, sharey=True)
+    for axes, reference in zip(line, references, strict=True):
+        with_bars(axes, range(len(cells)), found[reference], sideways=True, **looks)
+        axes.axvline(0, color=BLACK, linewidth=0.8, zorder=0)
+        axes.set(title=f"over {planner_label(reference)}", xlabel="improvement (%)")
+        axes.grid(axis="y", visible=False)
+    line[0].set_yticks(range(len(cells)), [_label(template) for template, _ in cells])
+    line[0].set_ylim(len(cells) - 0.5, -0.5)
+    return figure
+
+
+def _references(results: Summary, planner: str) -> list[str]:
+    return [name for name in REFERENCES if results.compared(planner, name)]
+
+
+def _label(template: str) -> str:
+    """The template with its meaning, where it is one of ours."""
+    return f"{template}: {TEMPLATES[template].meaning}" if template in TEMPLATES else template

@@ -1,8 +1,8 @@
-"""Whether a team waits and goes on as the paper's examples do (its Figs. 4 to 6), found in the traces of ordered tasks.
+"""Whether teams wait and go on as in the paper's examples (its Figs. 4 to 6), read from the traces of ordered tasks.
 
 *Waits*: a robot stands at a container until a teammate has interacted with something, and then interacts there. *Goes
-on*: a robot searches elsewhere after it saw an object that the task needs, which is interacted with only later. Both
-can be seen only where a task has an order and a team has several robots.
+on*: a robot searches elsewhere after it saw an object that the task needs, and that object is used only later. Both
+show only where a task has an order and a team has several robots.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ import pandas as pd
 from mrtask.execution.trace import Letter, Trace
 
 MIN_WAIT_S = 0.5
-"""Shorter waits are rounding, or a robot that arrived with its teammate."""
+"""Shorter waits are rounding errors, or a robot that arrived at the same time as its teammate."""
 ORDER = " U "
-"""What a formula has that puts interactions in order."""
+"""The operator by which a formula orders interactions."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +33,25 @@ class Coordination:
 
 
 def coordination(rows: pd.DataFrame, planner: str) -> Coordination | None:
-    """What the planner's traces show; None where there is no episode that could show it."""
+    """The planner's coordination by its traces; None if no episode could show any."""
     if not {"trace", "formula"} <= set(rows.columns):
         return None
-    own = rows[(rows["planner"] == planner) & (rows["status"] == "accepted") & (rows["robots"] > 1)]
-    ordered = own[own["formula"].fillna("").astype(str).str.contains(ORDER, regex=False)]
-    own = ordered[ordered["trace"].notna()]
+    ordered = rows["formula"].fillna("").astype(str).str.contains(ORDER, regex=False)
+    eligible = rows[(rows["planner"] == planner) & (rows["status"] == "accepted") & (rows["robots"] > 1) & ordered]
+    own = eligible[eligible["trace"].notna()]
     if own.empty:
         return None
     traces = {str(trial): Trace.from_json(text) for trial, text in zip(own["trial_id"], own["trace"], strict=True)}
     return Coordination(
         episodes=len(traces),
-        eligible=len(ordered),
+        eligible=len(eligible),
         waits=tuple(trial for trial, trace in traces.items() if any(_waited(trace, one) for one in trace.letters)),
         goes_on=tuple(trial for trial, trace in traces.items() if any(_went_on(trace, one) for one in trace.letters)),
     )
 
 
 def _waited(trace: Trace, letter: Letter) -> bool:
-    """Whether its robot stood there waiting, and a teammate interacted meanwhile."""
+    """Whether the letter's robot stood there waiting while a teammate interacted."""
     before = [leg for leg in trace.robots[letter.robot] if leg.t0_s < letter.t_s]
     stay = list(takewhile(lambda leg: leg.kind != "move", reversed(before)))
     waits = [leg for leg in stay if leg.kind == "wait"]
@@ -62,7 +62,7 @@ def _waited(trace: Trace, letter: Letter) -> bool:
 
 
 def _went_on(trace: Trace, letter: Letter) -> bool:
-    """Whether a robot that saw what is in this container searched another one before the interaction."""
+    """Whether a robot that had searched the letter's container searched another one before the interaction."""
     for legs in trace.robots:
         searches = [leg for leg in legs if leg.kind == "search" and leg.t1_s < letter.t_s - MIN_WAIT_S]
         seen = [index for index, leg in enumerate(searches) if leg.container == letter.container]

@@ -1,8 +1,8 @@
-"""How costs are distributed, not only their means: performance profiles and the distribution of each cell's costs.
+"""The distribution of costs beyond their means: performance profiles, and the distribution of each cell's costs.
 
 A performance profile (Dolan and Moré, *Benchmarking optimization software with performance profiles*, Mathematical
 Programming 91, 2002) takes each planner's cost on a trial relative to the cheapest planner's on that trial, and shows
-for every factor in how many trials a planner stays within it. A failed episode stays within none.
+for every factor in how many trials a planner stays within it. A failed episode never does.
 """
 
 from collections.abc import Sequence
@@ -13,19 +13,20 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from mrtask.analysis.page.columns import Column, Table, make_table
-from mrtask.analysis.page.style import house_style, new_figure, planner_label, planner_looks
+from mrtask.analysis.page.charts import legend_below, panels, ticks_as
+from mrtask.analysis.page.style import house_style, planner_label, planner_looks
+from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.results.episodes import size_classes_in_order
-from mrtask.analysis.results.statistics import Summary, paired_costs
+from mrtask.analysis.results.statistics import Summary, cell_name, paired_costs
 from mrtask.arrays import Floats
 from mrtask.names import counted
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0)
-"""Of the table."""
+"""The table's columns."""
+WITHIN = "above the cheapest by no more than"
 MAX_FACTOR = 4.0
 """Where the picture ends; 1 to 4 on a logarithmic axis."""
 FACTOR_TICKS = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
@@ -64,26 +65,17 @@ class CostRatios:
         return self.ratios[[name == size_class for name in self.size_classes]]
 
 
-@dataclass(frozen=True)
-class _Line:
-    """One planner's line of the profile's table."""
-
-    ratios: CostRatios
-    index: int
-
-
 def cost_ratios(rows: pd.DataFrame) -> CostRatios | None:
     """The ratios over the trials that all planners ran and one finished; None with fewer than two planners.
 
-    Planners that know more than a planner can (the bound `known`) take no part: they would be the cheapest everywhere.
+    Bounds such as `known` take no part: they know more than a planner can, and would be the cheapest everywhere.
     """
     planners = tuple(n for n in planners_in_order(rows["planner"].unique()) if planner_role(n) is not Role.BOUND)
-    taking_part = rows[rows["planner"].isin(planners)]
-    runs = taking_part.groupby("trial_id")["planner"].nunique()
-    costs = paired_costs(taking_part[taking_part["trial_id"].isin(runs.index[runs == len(planners)])], "cost_cells")
-    if len(planners) < 2 or costs.empty:
+    if len(planners) < 2:
         return None
-    costs = costs[list(planners)].dropna(how="all")
+    taking_part = rows[rows["planner"].isin(planners)]
+    runs = taking_part.groupby("trial_id")["planner"].transform("nunique")
+    costs = paired_costs(taking_part[runs == len(planners)], "cost_cells").reindex(columns=planners).dropna(how="all")
     if costs.empty:
         return None
     filled = costs.fillna(np.inf).to_numpy()
@@ -98,74 +90,70 @@ def profile_table(ratios: CostRatios | None) -> Table | None:
     """In how many trials each planner is the cheapest, or within some factors of it; None without ratios."""
     if ratios is None:
         return None
-    columns = (
-        *map(_within_column, FACTORS),
-        Column[_Line](lambda line: float(line.ratios.finished[line.index]), ("", "finished"), unit=" %"),
-    )
-    return make_table(columns, [(planner_label(name), _Line(ratios, i)) for i, name in enumerate(ratios.planners)])
+    headings = [("", "cheapest") if factor == 1 else (WITHIN, f"{100 * (factor - 1):.0f} %") for factor in FACTORS]
+    shares = np.array([*map(ratios.within, FACTORS), ratios.finished]).T
+    rows = [
+        Row(planner_label(name), tuple(Entry(f"{share:.0f} %") for share in own))
+        for name, own in zip(ratios.planners, shares, strict=True)
+    ]
+    return Table((*headings, ("", "finished")), tuple(rows))
 
 
-def _within_column(factor: float) -> Column[_Line]:
-    heading = ("", "cheapest") if factor == 1 else ("above the cheapest by no more than", f"{100 * (factor - 1):.0f} %")
-    return Column(lambda line: float(line.ratios.within(factor)[line.index]), heading, unit=" %")
-
-
+@house_style()
 def draw_profile(ratios: CostRatios) -> Figure:
     """The profile of every planner, one panel per size class."""
     classes = size_classes_in_order(ratios.size_classes)
     looks = planner_looks(ratios.planners)
-    with house_style():
-        figure = new_figure(PANEL_IN * max(len(classes), 2), 3.6)
-        panels = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
-        for axes, size_class in zip(panels, classes, strict=True):
-            of_class = ratios.of_class(size_class)
-            for index, name in enumerate(ratios.planners):
-                _steps(axes, of_class[:, index], MAX_FACTOR, looks[name][0], start=1.0)
-            axes.set(title=f"{size_class}, {counted(len(of_class), 'trial')}", xlabel="cost relative to the cheapest")
-            axes.set_xscale("log")
-            axes.set(xlim=(1, MAX_FACTOR), ylim=(0, 101))
-            axes.xaxis.set_major_locator(FixedLocator(FACTOR_TICKS))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.xaxis.set_minor_locator(NullLocator())
-        panels[0].set_ylabel("trials (%)")
-        _legend(figure, ratios.planners)
+    figure, (line,) = panels(PANEL_IN * max(len(classes), 2), 3.6, columns=len(classes), sharey=True)
+    for axes, size_class in zip(line, classes, strict=True):
+        of_class = ratios.of_class(size_class)
+        for name, own in zip(ratios.planners, of_class.T, strict=True):
+            _steps(axes, own, MAX_FACTOR, looks[name][0], start=1.0)
+        axes.set(title=f"{size_class}, {counted(len(of_class), 'trial')}", xlabel="cost relative to the cheapest")
+        ticks_as(axes.xaxis, "{:g}".format, FACTOR_TICKS, log=True)
+        axes.set(xlim=(1, MAX_FACTOR), ylim=(0, 101))
+    line[0].set_ylabel("trials (%)")
+    _legend(figure, ratios.planners)
     return figure
 
 
+@house_style()
 def draw_costs(rows: pd.DataFrame, summary: Summary) -> Figure | None:
     """The distribution of every planner's costs, one panel per cell; None where nothing was finished."""
     if not rows["cost_cells"].notna().any():
         return None
-    looks = planner_looks(summary.planners)
     lines, columns = len(summary.size_classes), len(summary.robots)
-    with house_style():
-        figure = new_figure(PANEL_IN * max(columns, 2), COST_PANEL_HEIGHT_IN * lines + 0.7)
-        grid = figure.subplots(lines, columns, squeeze=False, sharey=True)
-        for line, size_class in zip(grid, summary.size_classes, strict=True):
-            for axes, robots in zip(line, summary.robots, strict=True):
-                of_cell = rows[(rows["size_class"] == size_class) & (rows["robots"] == robots)]
-                axes.set_title(f"{size_class}, {counted(robots, 'robot')}")
-                costs = of_cell["cost_cells"].dropna()
-                if costs.empty:
-                    axes.text(0.5, 0.5, "nothing finished" if len(of_cell) else "not run", transform=axes.transAxes,
-                              ha="center", va="center")  # fmt: skip
-                    axes.set_xticks([])
-                    continue
-                top = float(np.percentile(costs, SHOWN_PERCENTILE)) or 1.0
-                for name in summary.planners:
-                    own = of_cell.loc[of_cell["planner"] == name, "cost_cells"].fillna(np.inf).to_numpy()
-                    if len(own):
-                        _steps(axes, own, top, looks[name][0], start=0.0)
-                axes.set(xlim=(0, top), ylim=(0, 101))
-            line[0].set_ylabel("trials (%)")
-        for axes in grid[-1]:
-            axes.set_xlabel("cost (grid cells)")
-        _legend(figure, summary.planners)
+    size_in = PANEL_IN * max(columns, 2), COST_PANEL_HEIGHT_IN * lines + 0.7
+    figure, grid = panels(*size_in, lines, columns, sharey=True)
+    for line, size_class in zip(grid, summary.size_classes, strict=True):
+        for axes, robots in zip(line, summary.robots, strict=True):
+            _cost_panel(axes, rows[(rows["size_class"] == size_class) & (rows["robots"] == robots)], summary.planners)
+            axes.set_title(cell_name((size_class, robots)))
+        line[0].set_ylabel("trials (%)")
+    for axes in grid[-1]:
+        axes.set_xlabel("cost (grid cells)")
+    _legend(figure, summary.planners)
     return figure
 
 
+def _cost_panel(axes: Axes, rows: pd.DataFrame, planners: Sequence[str]) -> None:
+    finished = rows["cost_cells"].dropna()
+    if finished.empty:
+        missing = "nothing finished" if len(rows) else "not run"
+        axes.text(0.5, 0.5, missing, transform=axes.transAxes, ha="center", va="center")
+        axes.set_xticks([])
+        return
+    top = float(np.percentile(finished, SHOWN_PERCENTILE)) or 1.0
+    looks = planner_looks(planners)
+    for name in planners:
+        costs = rows.loc[rows["planner"] == name, "cost_cells"].fillna(np.inf).to_numpy()
+        if len(costs):
+            _steps(axes, costs, top, looks[name][0], start=0.0)
+    axes.set(xlim=(0, top), ylim=(0, 101))
+
+
 def _steps(axes: Axes, values: Floats, top: float, color: str, start: float) -> None:
-    """The share of ``values`` that is not above x, for x from ``start`` to ``top``; infinite ones never are."""
+    """Draw the share of ``values`` that are at most x, for x from ``start`` to ``top``; infinite values never are."""
     found, counts = np.unique(values[values <= top], return_counts=True)
     shares = 100 * counts.cumsum() / len(values)
     if len(found) > MAX_STEPS:
@@ -178,5 +166,4 @@ def _steps(axes: Axes, values: Floats, top: float, color: str, start: float) -> 
 
 def _legend(figure: Figure, planners: Sequence[str]) -> None:
     looks = planner_looks(planners)
-    handles = [Line2D([], [], color=looks[name][0], linewidth=1.8, label=planner_label(name)) for name in planners]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    legend_below(figure, [Line2D([], [], color=looks[name][0], label=planner_label(name)) for name in planners])

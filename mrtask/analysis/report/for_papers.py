@@ -1,6 +1,6 @@
-"""The report's tables as papers need them: LaTeX with booktabs' rules, and Markdown.
+"""The report's tables in the formats that papers need: LaTeX with booktabs' rules, and Markdown.
 
-Names come from the data, so whatever LaTeX or Markdown would take for a command is escaped.
+Names come from the data, so everything that LaTeX or Markdown would read as a command is escaped.
 """
 
 import re
@@ -8,10 +8,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from mrtask.analysis.page.columns import Entry, Table
-from mrtask.analysis.page.entries import ABOVE, BELOW, LEVEL
 from mrtask.analysis.page.exhibits import Content, ShownTable
 from mrtask.analysis.page.style import NOTHING
+from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL, Entry, Table
 
 LATEX_SIGNS = str.maketrans(
     {
@@ -37,7 +36,7 @@ MARKDOWN_SIGNS = re.compile(r"[\\`*_<>|~&$]|\](?=[(\[])")
 
 
 def paper_files(contents: Sequence[Content]) -> dict[str, bytes]:
-    """Path beside the page -> content, of every table and picture and what else a section leaves."""
+    """Path beside the page -> content, for every table, picture and other file of the sections."""
     files: dict[str, bytes] = {}
     for content in contents:
         files |= {path: text.encode() for path, text in content.files.items()}
@@ -50,7 +49,7 @@ def paper_files(contents: Sequence[Content]) -> dict[str, bytes]:
 
 
 def latex_table(shown: ShownTable) -> str:
-    """A ``tabular``; what stands below a value on the page has a line of its own in smaller type."""
+    """A ``tabular``; the details below a value get a line of their own in smaller type."""
     table = shown.table
     headings = [(latex_text(upper), latex_text(lower)) for upper, lower in (("", shown.corner), *table.columns)]
     two = any(upper for upper, _ in headings)
@@ -71,7 +70,7 @@ def latex_text(text: str) -> str:
 
 
 def markdown_table(shown: ShownTable) -> str:
-    """A table with pipes below its title; what stands below a value on the page stands behind it here."""
+    """A pipe table below its title; the details below a value follow it in brackets."""
     table = shown.table
     lines = [
         [f"**{markdown_text(row.label)}**", *[""] * len(table.columns)]
@@ -116,7 +115,7 @@ def _latex_side(texts: Sequence[str], words: bool) -> str:
 
 
 def _with_details(entry: Entry) -> str:
-    """A value with what stands below it on the page in brackets."""
+    """A value, followed by its details in brackets."""
     details = "; ".join(detail for detail in entry.details if detail)
     return f"{entry.value} ({details})" if details else entry.value
 

@@ -1,4 +1,4 @@
-"""What a paper that uses a run says about it: a methods paragraph with its numbers and versions, and citations."""
+"""Text for papers that use a run: a methods paragraph with the run's numbers and versions, and citations."""
 
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
@@ -6,6 +6,7 @@ from importlib.metadata import version
 import pandas as pd
 
 from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.report.by_template import templates_in_order
 from mrtask.analysis.report.for_papers import latex_text, markdown_text
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.run_facts import Manifest, part
@@ -13,7 +14,6 @@ from mrtask.analysis.results.episodes import size_classes_in_order
 from mrtask.analysis.results.published import Published
 from mrtask.analysis.results.statistics import RESAMPLES
 from mrtask.names import counted
-from mrtask.tasks.templates import TEMPLATES
 
 SOFTWARE_TITLE = "mrtask: multi-robot task planning in homes where nobody knows which object lies where"
 SOFTWARE_AUTHORS = "The mrtask authors"
@@ -22,7 +22,7 @@ PAPER_KEY, SOFTWARE_KEY = "khanal2026multirobot", "mrtask"
 
 
 def methods_sentences(data: ReportData) -> list[str]:
-    """The paragraph sentence by sentence; what the run did not record is left out."""
+    """The paragraph, sentence by sentence, without what the run did not record."""
     return [
         _trials_sentence(data.rows, part(data.manifest, "homes")),
         *_task_sentences(data.rows, part(part(data.manifest, "config"), "evaluation")),
@@ -83,8 +83,7 @@ def _trials_sentence(rows: pd.DataFrame, homes: Manifest) -> str:
 def _task_sentences(rows: pd.DataFrame, evaluation: Manifest) -> list[str]:
     sentences = ["All planners run the same trials: the same home, task, start and hidden contents."]
     if "template" in rows.columns and rows["template"].notna().any():
-        present = set(rows["template"].dropna().astype(str))
-        names = [*(name for name in TEMPLATES if name in present), *sorted(present - set(TEMPLATES))]
+        names = templates_in_order(rows)
         forms = "form" if len(names) == 1 else "forms"
         sentences.append(f"Tasks are co-safe LTL formulas of the {forms} {_listed(names)}.")
     keys = ("speed_m_per_s", "search_time_s", "interact_time_s")
@@ -100,12 +99,11 @@ def _planner_sentences(data: ReportData) -> list[str]:
     if not data.summary.planners:
         return []
     options = part(data.manifest, "planner_options")
-    named = []
-    for name in data.summary.planners:
-        samples = part(options, name).get("samples")
-        named.append(
-            f"{planner_label(name)} ({samples:,} samples)" if isinstance(samples, int) else planner_label(name)
-        )
+    samples = {name: part(options, name).get("samples") for name in data.summary.planners}
+    named = [
+        planner_label(name) + (f" ({count:,} samples)" if isinstance(count, int) else "")
+        for name, count in samples.items()
+    ]
     return [f"The {'planner is' if len(named) == 1 else 'planners are'} {_listed(named)}; samples are per decision."]
 
 

@@ -1,8 +1,8 @@
-"""The paper's claims, each judged on a run's rows: does it hold here, and which number says so?
+"""The paper's claims, each judged on a run's rows: does it hold here, and which number shows it?
 
 A claim about every cell holds only where each cell's 95 % interval is above zero, which needs no correction for the
-number of cells. One cell whose whole interval is below zero contradicts it; nine cells make that a little likelier by
-luck, which is why the cell is named.
+number of cells. One cell whose whole interval is below zero contradicts it; with nine cells this happens a little more
+often by chance, so the cell is named.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from mrtask.analysis.page.columns import Entry, Row, Table
 from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.page.tables import Entry, Row, Table
 from mrtask.analysis.report.coordination import Coordination
 from mrtask.analysis.report.real_world import scenario_name, simulated_trials
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.wins import share
 from mrtask.analysis.results.published import Cell, Published, RealWorldTrial
+from mrtask.analysis.results.roles import BASELINES, REFERENCES
 from mrtask.analysis.results.statistics import (
-    BASELINES,
     CONFIDENCE,
-    REFERENCES,
     SEED,
     Bootstrap,
     Estimate,
@@ -35,11 +34,11 @@ from mrtask.homes.home import SIZE_CLASSES
 from mrtask.names import counted
 
 MYOPIC = "nonlearned_myopic"
-"""What the paper's robots ran in the apartments beside its planner."""
+"""The planner that the paper's robots ran in the apartments for comparison."""
 
 
 class Verdict(Enum):
-    """What a run says of a claim."""
+    """The verdict of a run on a claim."""
 
     HOLDS = "yes"
     NOT_SHOWN = "not shown"
@@ -56,12 +55,12 @@ class Judged:
 
     verdict: Verdict
     because: tuple[str, ...]
-    """Line by line."""
+    """The reasons, one per line."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Where to look: a place on the page or beside it, or a command."""
+    """A place on the page or beside it, or a command that shows the evidence."""
 
     label: str
     href: str | None = None
@@ -148,11 +147,15 @@ def _grows_with_size(data: ReportData, planners: Sequence[str]) -> Claim:
 def judge_growth(data: ReportData, planner: str) -> Judged:
     """Whether a planner's improvement over both baselines is clearly larger in each next size class."""
     summary = data.summary
-    if planner not in summary.planners or not set(BASELINES) <= set(summary.planners):
-        missing = [name for name in (planner, *BASELINES) if name not in summary.planners]
+    if missing := [name for name in (planner, *BASELINES) if name not in summary.planners]:
         return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
     classes = [name for name in SIZE_CLASSES if name in summary.size_classes]
-    draws = {name: draw for number, name in enumerate(classes) if (draw := _draw(data, planner, name, SEED + number))}
+    draws = {}
+    for number, name in enumerate(classes):
+        # Trials that the planner and both baselines finished, in this order of columns.
+        costs = paired_costs(data.rows[data.rows["size_class"] == name]).reindex(columns=[planner, *BASELINES]).dropna()
+        if len(costs):
+            draws[name] = Bootstrap(costs.to_numpy(), seed=SEED + number)
     if len(draws) < 2:
         return Judged(Verdict.NOT_IN_RUN, ("homes of fewer than two size classes",))
     steps: list[Estimate] = []
@@ -189,13 +192,6 @@ def improvement_growth(first: Bootstrap, second: Bootstrap, column: int) -> Esti
     return Estimate(value, float(low), float(high), n)
 
 
-def _draw(data: ReportData, planner: str, size_class: str, seed: int) -> Bootstrap | None:
-    """Resamples of a size class's trials that the planner and both baselines finished, in this order of columns."""
-    rows = data.rows[data.rows["size_class"] == size_class]
-    costs = paired_costs(rows).reindex(columns=[planner, *BASELINES]).dropna().to_numpy()
-    return Bootstrap(costs, seed=seed) if len(costs) else None
-
-
 def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:
     found = {name: data.coordination.get(name) for name in planners}
     shown = found.get(data.planner or "") or next((one for one in found.values() if one), None)
@@ -210,7 +206,7 @@ def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:
 
 
 def judge_coordination(found: Coordination | None) -> Judged:
-    """Whether a planner's traces show both."""
+    """Whether a planner's traces show robots that wait and robots that go on."""
     if found is None:
         return Judged(Verdict.NOT_IN_RUN, ("no trace of an ordered task with several robots",))
     waits, goes_on = (share(len(trials), found.episodes) for trials in (found.waits, found.goes_on))
@@ -227,7 +223,7 @@ def judge_coordination(found: Coordination | None) -> Judged:
 
 
 def _trial_evidence(data: ReportData, what: str, trials: Sequence[str]) -> Evidence:
-    """A trial to watch, where one has a replay beside the page; else the command for the first."""
+    """A trial whose replay lies beside the page; without one, the command that replays the first trial."""
     for trial in trials:
         if trial in data.replays:
             return Evidence(f"{what}: {trial}", data.replays[trial])
@@ -264,8 +260,7 @@ def _apartment(data: ReportData, planners: Sequence[str], trial: RealWorldTrial)
 
 
 def _not_run(summary: Summary, planner: str, baseline: str) -> Judged:
-    missing = [name for name in (planner, baseline) if name not in summary.planners]
-    if missing:
+    if missing := [name for name in (planner, baseline) if name not in summary.planners]:
         return Judged(Verdict.NOT_IN_RUN, (f"{_named_planners(missing)} did not run",))
     return Judged(Verdict.NOT_IN_RUN, ("no trial of the paper's cells was finished by both",))
 

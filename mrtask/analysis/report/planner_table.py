@@ -1,6 +1,6 @@
-"""What is reported of each planner: the columns of ``table.csv`` and of the report's table of all planners.
+"""The statistics reported for each planner: the columns of ``table.csv`` and of the report's table of all planners.
 
-To add a statistic, declare its `Column` here and name it in `csv_columns`, in `report_columns`, or in both.
+To add a statistic, declare its `Column` here and list it in `csv_columns`, in `report_columns`, or in both.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -9,26 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.page.columns import Column, Table, make_table
 from mrtask.analysis.page.style import planner_label, seconds
+from mrtask.analysis.page.tables import Column, Table, make_table
 from mrtask.analysis.results.episodes import Variant
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import (
-    BASELINES,
-    EVERYTHING,
-    KNOWN,
-    REFERENCES,
-    Cell,
-    Comparison,
-    PlannerCell,
-    Summary,
-)
+from mrtask.analysis.results.roles import BASELINES, KNOWN, REFERENCES
+from mrtask.analysis.results.statistics import EVERYTHING, Cell, Comparison, PlannerCell, Summary
 from mrtask.planning.planners import PAPERS_PLANNER, published_counterpart
 
 
 @dataclass(frozen=True)
 class Result:
-    """One planner in one cell, with what it is compared with: the subject of every column here."""
+    """One planner in one cell, with everything it is compared with: the subject of every column here."""
 
     summary: Summary
     published: Published
@@ -53,7 +45,7 @@ class Result:
 
     @property
     def lost(self) -> dict[str, int]:
-        """Status -> episodes, without those that were accepted."""
+        """Status -> number of episodes that ended with it, other than accepted ones."""
         return {status: count for status, count in self.found.counts.items() if count and status != "accepted"}
 
 
@@ -152,7 +144,7 @@ def csv_columns() -> tuple[Column[Result], ...]:
 
 
 def report_columns(planners: Sequence[str]) -> tuple[Column[Result], ...]:
-    """The columns of the report's table of all planners; those that compare with planners that did not run are out."""
+    """The columns of the report's table of all planners, without comparisons with planners that did not run."""
     return (
         *(EPISODES, NOT_ACCEPTED, COST_S, COST_CELLS),
         *(improvement_over(name) for name in REFERENCES if name in planners),

@@ -12,7 +12,7 @@ from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.formula import parse, proposition_names
 
 APARTMENTS = "apartments"
-"""The manifest's part with what was simulated: apartment -> planner -> `SimulatedTrial`'s fields."""
+"""The manifest's part on simulated trials: apartment -> planner -> `SimulatedTrial`'s fields."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def driven_m(trace: Trace) -> list[float]:
 
 
 def simulated_trial(trial: RealWorldTrial, trace: Trace) -> SimulatedTrial:
-    """What a trace of the apartment's task comes to."""
+    """The distance and success of a trace of the apartment's task."""
     names = proposition_names(parse(trial.formula))
     automaton = build_automaton(trial.formula, names)
     word = [letter.object for letter in trace.letters]
@@ -49,6 +49,6 @@ def simulated_trial(trial: RealWorldTrial, trace: Trace) -> SimulatedTrial:
 
 
 def simulated_trials(manifest: Manifest, trial: RealWorldTrial) -> Mapping[str, SimulatedTrial]:
-    """Planner -> its simulated run of an apartment, as the manifest has them."""
+    """Planner -> its simulated run of an apartment, from the manifest."""
     found = part(part(manifest, APARTMENTS), trial.name)
     return {planner: SimulatedTrial(**fields) for planner, fields in found.items()}

@@ -1,25 +1,30 @@
-"""What every section of the report is made from: a run's checked episodes, their statistics and the answer."""
+"""The data behind every section of the report: a run's checked episodes, their statistics and the answer."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.drawing.trajectories import Pick
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.drawing.replay_content import Episode, make_replay
+from mrtask.analysis.drawing.replay_page import render_replay
+from mrtask.analysis.drawing.trajectories import Pick, task_objects
+from mrtask.analysis.page.rendering import Findings
 from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
-from mrtask.analysis.report.linked_replays import Replays, play
-from mrtask.analysis.report.run_facts import Manifest, ModelFacts, missing_episodes, model_facts
+from mrtask.analysis.report.run_facts import Manifest, missing_episodes, model_warning
 from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
 from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.published import Published, load_published
-from mrtask.analysis.results.statistics import Summary, main_planner, summarise
+from mrtask.analysis.results.roles import main_planner
+from mrtask.analysis.results.statistics import Summary, summarise
+from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER, Role, planner_role
+from mrtask.tasks.automaton import build_automaton
 
 REPLAYS = "replays"
 SAFE_NAME = re.compile(r"[\w-]+")
@@ -70,13 +75,13 @@ class ReportData:
 
     @cached_property
     def coordination(self) -> dict[str, Coordination]:
-        """Of the planners judged, those whose traces can show whether robots wait and go on."""
+        """How the judged planners' robots wait and go on, for those whose traces can show it."""
         found = {name: coordination(self.rows, name) for name in self.judged}
         return {name: one for name, one in found.items() if one is not None}
 
     @cached_property
     def picks(self) -> list[Pick]:
-        """The trials worth a look, each with a reason: representative, failed, lost, and where robots wait or go on."""
+        """The trials worth a look, each with a reason: representative, failed, lost, or showing how robots wait."""
         picks = notable_trials(self.rows, self.planner)
         shown = self.coordination.get(self.planner or "")
         if shown is None or "home_id" not in self.rows.columns:
@@ -88,32 +93,66 @@ class ReportData:
         return picks
 
     @cached_property
-    def played(self) -> Replays:
-        """The replays of the picks."""
-        picks = [pick for pick in self.picks if SAFE_NAME.fullmatch(pick.trial_id)]
-        return play(self.rows, compared_planners(self.rows, self.planner), picks, self.homes)
+    def _played(self) -> tuple[dict[str, str], list[str]]:
+        """Trial id -> the page of its replay, and for each pick that cannot be replayed why."""
+        pages: dict[str, str] = {}
+        unplayable: list[str] = []
+        if not {"trace", "template", "formula", "objects"} <= set(self.rows.columns):
+            return pages, unplayable
+        planners = compared_planners(self.rows, self.planner)
+        for pick in self.picks:
+            if pick.home_id not in self.homes or not SAFE_NAME.fullmatch(pick.trial_id):
+                continue
+            rows = self.rows[(self.rows["trial_id"] == pick.trial_id) & self.rows["trace"].notna()]
+            found = {row["planner"]: row for row in rows.to_dict("records")}
+            try:
+                pages |= _replay(pick, [found[name] for name in planners if name in found], self.homes[pick.home_id])
+            except ValueError as error:
+                unplayable.append(f"Trial {pick.trial_id} cannot be replayed: {error}")
+        return pages, unplayable
+
+    @property
+    def pages(self) -> dict[str, bytes]:
+        """Path beside the report -> the page of a replay."""
+        return {self.replays[trial_id]: page.encode() for trial_id, page in self._played[0].items()}
 
     @property
     def replays(self) -> dict[str, str]:
-        """Trial id -> the page of its replay, beside the report."""
-        return {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in self.played.pages}
+        """Trial id -> the path of its replay beside the report."""
+        return {trial_id: f"{REPLAYS}/{trial_id}.html" for trial_id in self._played[0]}
 
     @cached_property
     def findings(self) -> Findings:
         """The answer for the variant shown."""
         return find(self.summary, self.published, self.planner)
 
-    @cached_property
-    def model(self) -> ModelFacts:
-        """The likelihood model that the planners used."""
-        return model_facts(self.manifest, self.episodes)
-
     @property
     def warnings(self) -> list[str]:
-        """Everything that a reader should know before trusting the answer."""
-        of_run = (missing_episodes(self.manifest, self.episodes), self.model.warning)
-        warnings = [*self.findings.warnings, *mixture_warnings(self.rows), *(text for text in of_run if text)]
-        return [*warnings, *self.played.unplayable]
+        """All warnings that a reader should see before trusting the answer."""
+        of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest))
+        found = [*self.findings.warnings, *mixture_warnings(self.rows), *of_run, *self._played[1]]
+        return [text for text in found if text]
+
+
+def _replay(pick: Pick, rows: Sequence[Mapping[Any, Any]], home: Home) -> dict[str, str]:
+    """The page of a trial from the rows of the planners to be shown; empty without rows.
+
+    It has no reasons for the decisions, since those would take another run.
+
+    Raises:
+        ValueError: a row holds no formula, or names a place that the home lacks.
+    """
+    if not rows:
+        return {}
+    first = rows[0]
+    automaton = build_automaton(first["formula"], task_objects(first["objects"]))
+    episodes = []
+    for row in rows:
+        accepted, trace = row["status"] == "accepted", Trace.from_json(row["trace"])
+        cost_s, error = (row["cost_s"], None) if accepted else (None, str(row.get("error") or ""))
+        episodes.append(Episode(row["planner"], row["status"], cost_s, error, trace))
+    replay = make_replay(pick.trial_id, first["size_class"], first["template"], automaton, home, episodes)
+    return {pick.trial_id: render_replay(replay)}
 
 
 def collect_report_data(

@@ -1,7 +1,7 @@
-"""The report: one ``index.html`` that holds everything it shows and needs no network, and files for others beside it.
+"""The report: one page that contains everything it shows and needs no network, with files for other uses beside it.
 
-It opens with the answer, in words computed from the data; the sections below are listed in
-`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and every table and figure as papers need them.
+It opens with the answer in words, computed from the data; the sections below it are listed in
+`mrtask.analysis.report.sections`. Beside it lie ``table.csv``, replays, and all tables and figures as files for papers.
 """
 
 from collections.abc import Mapping
@@ -10,28 +10,27 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from markupsafe import Markup
 
 from mrtask.analysis.page.exhibits import Content
+from mrtask.analysis.page.rendering import PageSection, render_page, template_text
 from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.page.templating import render_fragment, script_digest, template_text
 from mrtask.analysis.report.for_papers import paper_files
 from mrtask.analysis.report.planner_table import result_table
 from mrtask.analysis.report.report_data import ReportData, collect_report_data, rows_of, variants_of
 from mrtask.analysis.report.sections import SECTIONS, Section
 from mrtask.analysis.report.trial_browser import compared_planners, mapped_trials
 from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.results.roles import main_planner
 from mrtask.files import replacing
 from mrtask.homes.home import Home
 from mrtask.planning.planners import PAPERS_PLANNER
 
-REPORT_FILE, TABLE_FILE = "index.html", "table.csv"
+TABLE_FILE = "table.csv"
 
 
 @dataclass(frozen=True)
 class TrialsToDraw:
-    """The trials whose traces the report needs, of these planners, and the homes that they are in."""
+    """The trials and planners whose traces the report needs, and the homes of these trials."""
 
     trial_ids: frozenset[str]
     home_ids: frozenset[str]
@@ -44,9 +43,9 @@ class Report:
 
     page: str
     table: pd.DataFrame
-    """What `mrtask.analysis.report.planner_table.result_table` has."""
+    """The rows of `mrtask.analysis.report.planner_table.result_table`."""
     extras: Mapping[str, bytes] = field(default_factory=dict)
-    """Relative path -> content of what lies beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
+    """Relative path -> content of the files beside the page: ``replays/<trial>.html``, ``tables/``, ``figures/``."""
 
 
 def render_report(
@@ -71,15 +70,14 @@ def render_report(
     data = collect_report_data(episodes, manifest, homes, optimality)
     contents = {section: content for section in SECTIONS if (content := section.content(data)) is not None}
     return Report(
-        render_page(data, contents),
+        _page(data, contents),
         result_table(data.summaries, data.published),
-        {data.replays[trial_id]: page.encode() for trial_id, page in data.played.pages.items()}
-        | paper_files(list(contents.values())),
+        data.pages | paper_files(list(contents.values())),
     )
 
 
-def write_report(report: Report, out_dir: Path) -> Path:
-    """Writes ``table.csv`` and ``index.html`` into ``out_dir`` and returns the path of the latter.
+def write_report(report: Report, page: Path) -> None:
+    """Write the page to ``page``, and ``table.csv`` and all other files beside it.
 
     An earlier file is replaced only by a whole new one.
 
@@ -87,43 +85,32 @@ def write_report(report: Report, out_dir: Path) -> Path:
         OSError: a file cannot be written.
     """
     table = report.table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (REPORT_FILE, report.page.encode())):
-        with replacing(out_dir / name) as path:
+    for name, content in (*report.extras.items(), (TABLE_FILE, table.encode()), (page.name, report.page.encode())):
+        with replacing(page.parent / name) as path:
             path.write_bytes(content)
-    return out_dir / REPORT_FILE
 
 
-def render_page(data: ReportData, contents: Mapping[Section, Content]) -> str:
+def _page(data: ReportData, contents: Mapping[Section, Content]) -> str:
     """The HTML page: the answer, then the sections."""
     experiment = data.manifest.get("experiment")
-    sections = [
-        {
-            "anchor": section.anchor,
-            "link": section.link,
-            "title": section.title,
-            "body": content.html,
-            "in_short": content.in_short,
-        }
-        for section, content in contents.items()
-    ]
-    script = template_text("report.js")
-    return render_fragment(
-        "page",
-        script=Markup(script),
-        script_digest=script_digest(script),
-        title=f"mrtask: experiment {experiment}" if experiment else "mrtask: report",
-        question=_question(data.planner),
-        findings=data.findings,
-        warnings=data.warnings,
-        variants=len(data.summaries),
-        shown=data.shown,
-        sections=sections,
+    who = f"the planner {planner_label(data.planner)}" if data.planner else "the learning-informed planner"
+    return render_page(
+        f"mrtask: experiment {experiment}" if experiment else "mrtask: report",
+        f"Does {who} beat the baselines, by how much, and how does that compare with the published results?",
+        data.findings,
+        [
+            PageSection(section.anchor, section.title, content.html, section.link, content.in_short)
+            for section, content in contents.items()
+        ],
         episodes=len(data.episodes),
+        warnings=data.warnings,
+        variants=list(data.summaries),
+        script=template_text("report.js"),
     )
 
 
 def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> TrialsToDraw:
-    """What the report of these episodes draws, so that no other home or trace needs to be loaded."""
+    """The trials that the report of these episodes draws, so that no other home or trace need be loaded."""
     checked = checked_episodes(episodes)
     rows = rows_of(checked, variants_of(checked)[-1])
     planner = main_planner(tuple(rows["planner"].unique()), manifest.get("main_planner"))
@@ -134,8 +121,3 @@ def trials_to_draw(episodes: pd.DataFrame, manifest: Mapping[str, Any]) -> Trial
     papers = [PAPERS_PLANNER] if (rows["planner"] == PAPERS_PLANNER).any() else []
     planners = dict.fromkeys((*compared_planners(rows, planner), *papers))
     return TrialsToDraw(frozenset(trials), frozenset(homes), tuple(planners))
-
-
-def _question(planner: str | None) -> str:
-    who = f"the planner {planner_label(planner)}" if planner else "the learning-informed planner"
-    return f"Does {who} beat the baselines, by how much, and how does that compare with the published results?"

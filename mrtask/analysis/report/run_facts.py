@@ -1,18 +1,17 @@
-"""What the report says besides results: the likelihood model, the homes, the run and what went wrong in it.
+"""What the report says beside the results: the likelihood model, the homes, the run, and what went wrong in it.
 
-A manifest is the JSON that a run writes; every key is optional, and what is missing is not shown.
+A manifest is the JSON that a run writes; every key is optional, and missing ones are not shown.
 """
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.page.columns import Column, Entry, Row, Table, make_table
 from mrtask.analysis.page.style import NOTHING, planner_label, seconds
+from mrtask.analysis.page.tables import Entry, Row, Table
 
 Manifest = Mapping[str, Any]
 Fact = tuple[str, str]
@@ -30,36 +29,7 @@ DECIDING = ("log_loss", "roc_auc")
 """The first of these that both models have decides which model is better."""
 MAX_REASONS = 25
 MAX_REASON_CHARS = 240
-
-
-@dataclass(frozen=True)
-class ModelFacts:
-    """The likelihood model: what it is, how good, and a warning where a frequency table is as good."""
-
-    facts: tuple[Fact, ...]
-    metrics: Table | None
-    warning: str | None
-
-
-@dataclass(frozen=True)
-class Failure:
-    """The episodes that ended with one status for one reason."""
-
-    status: str
-    reason: str
-    episodes: int
-    trials: int
-    planners: tuple[str, ...]
-    first_trial: str
-
-
-FAILURE_COLUMNS = (
-    Column[Failure](lambda failure: failure.status, ("", "status")),
-    Column[Failure](lambda failure: failure.episodes, ("", "episodes")),
-    Column[Failure](lambda failure: failure.trials, ("", "trials")),
-    Column[Failure](lambda failure: ", ".join(map(planner_label, failure.planners)), ("", "planners"), tone="text"),
-    Column[Failure](lambda failure: failure.first_trial, ("", "first trial")),
-)
+FAILURE_COLUMNS = tuple(("", name) for name in ("status", "episodes", "trials", "planners", "first trial"))
 
 
 def part(manifest: Manifest, key: str) -> Manifest:
@@ -68,8 +38,8 @@ def part(manifest: Manifest, key: str) -> Manifest:
     return value if isinstance(value, Mapping) else {}
 
 
-def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> ModelFacts:
-    """Facts on the model that the planners used."""
+def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
+    """Facts on the likelihood model that the planners used."""
     model = part(manifest, "model")
     version = model.get("version")
     if version is None and "model_version" in episodes.columns:
@@ -86,20 +56,50 @@ def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> ModelFacts:
         ("run", model.get("run_id")),
         ("note", model.get("note")),
     ]
-    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
-    return ModelFacts(facts=_shown(listed), metrics=_metric_table(own, frequency), warning=_model_warning(model))
+    return _shown(listed)
 
 
-def beats_frequency(model: Manifest) -> bool | None:
+def beats_frequency(manifest: Manifest) -> bool | None:
     """Whether the model is better than the frequency table on held-back homes; None where that is unknown."""
-    if isinstance(model.get("beats_frequency"), bool):
-        return bool(model["beats_frequency"])
-    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
+    stated = part(manifest, "model").get("beats_frequency")
+    if isinstance(stated, bool):
+        return stated
     for metric in DECIDING:
-        values = _number(own.get(metric)), _number(frequency.get(metric))
-        if values[0] is not None and values[1] is not None:
-            return values[0] < values[1] if METRICS[metric][1] == "lower" else values[0] > values[1]
+        own, frequency = _metric(manifest, metric)
+        if own is not None and frequency is not None:
+            return own < frequency if METRICS[metric][1] == "lower" else own > frequency
     return None
+
+
+def model_warning(manifest: Manifest) -> str | None:
+    """A warning where the model is no better than a frequency table."""
+    if beats_frequency(manifest) is not False:
+        return None
+    values = {METRICS[metric][0]: _metric(manifest, metric) for metric in DECIDING}
+    shown = [
+        f"{name} {own:.4f} against {other:.4f}"
+        for name, (own, other) in values.items()
+        if own is not None and other is not None
+    ]
+    figures = f" ({', '.join(shown)})" if shown else ""
+    return f"The likelihood model does not beat the frequency table on held-back homes{figures}."
+
+
+def metric_table(manifest: Manifest) -> Table | None:
+    """The metrics of the model and of the frequency table; None where the run recorded none."""
+    rows = []
+    for metric, (name, better) in METRICS.items():
+        values = _metric(manifest, metric)
+        if values != (None, None):
+            entries = tuple(Entry(NOTHING if value is None else f"{value:.4f}") for value in values)
+            rows.append(Row(f"{name} ({better} is better)" if better else name, entries))
+    return Table((("", "this model"), ("", "frequency table")), tuple(rows)) if rows else None
+
+
+def _metric(manifest: Manifest, metric: str) -> tuple[float | None, float | None]:
+    """The value of the model and that of the frequency table."""
+    model = part(manifest, "model")
+    return _number(part(model, "metrics").get(metric)), _number(part(model, "frequency_metrics").get(metric))
 
 
 def homes_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
@@ -131,7 +131,7 @@ def run_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
         ("command", manifest.get("command")),
         ("started", manifest.get("started")),
         ("wall time", None if wall_s is None else seconds(wall_s)),
-        ("grown, by what was asked for", "; then ".join(manifest.get("grown") or ())),
+        ("grown, request by request", "; then ".join(manifest.get("grown") or ())),
         ("stages", _text(stages)),
         ("seed", manifest.get("seed")),
         ("planners", _text(manifest.get("planners"))),
@@ -155,63 +155,35 @@ def missing_episodes(manifest: Manifest, episodes: pd.DataFrame) -> str | None:
 
 def failure_table(episodes: pd.DataFrame) -> Table | None:
     """Episodes without a result by status and reason, most frequent first; None where all were accepted."""
-    failures = _failures(episodes)
-    if not failures:
-        return None
-    shown, others = failures[:MAX_REASONS], failures[MAX_REASONS:]
-    table = make_table(FAILURE_COLUMNS, [(failure.reason or "no reason given", failure) for failure in shown])
-    if not others:
-        return table
-    entries = (Entry(NOTHING), Entry(str(sum(failure.episodes for failure in others))), *[Entry(NOTHING)] * 3)
-    return replace(table, rows=(*table.rows, Row(f"{len(others)} other reasons", entries)))
-
-
-def _failures(episodes: pd.DataFrame) -> list[Failure]:
     rows = episodes[episodes["status"] != "accepted"]
     if rows.empty:
-        return []
+        return None
     reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
-    failures = [
-        Failure(
-            status=str(status),
-            reason=str(reason),
-            episodes=len(group),
-            trials=group["trial_id"].nunique(),
-            planners=tuple(sorted(set(group["planner"]))),
-            first_trial=min(group["trial_id"]),
+    grouped = rows.assign(reason=reasons).groupby(["status", "reason"])
+    found = sorted(grouped, key=lambda failure: (-len(failure[1]), failure[0]))
+    lines = [
+        Row(
+            str(reason) or "no reason given",
+            (
+                Entry(str(status)),
+                Entry(str(len(group))),
+                Entry(str(group["trial_id"].nunique())),
+                Entry(", ".join(map(planner_label, sorted(set(group["planner"])))), tone="text"),
+                Entry(min(group["trial_id"])),
+            ),
         )
-        for (status, reason), group in rows.assign(reason=reasons).groupby(["status", "reason"])
+        for (status, reason), group in found[:MAX_REASONS]
     ]
-    return sorted(failures, key=lambda failure: (-failure.episodes, failure.status, failure.reason))
+    if others := found[MAX_REASONS:]:
+        entries = (Entry(NOTHING), Entry(str(sum(len(group) for _, group in others))), *[Entry(NOTHING)] * 3)
+        lines.append(Row(f"{len(others)} other reasons", entries))
+    return Table(FAILURE_COLUMNS, tuple(lines))
 
 
 def config_text(manifest: Manifest) -> str | None:
     """The configuration as indented JSON."""
     config = part(manifest, "config")
     return json.dumps(config, indent=2, default=str, ensure_ascii=False) if config else None
-
-
-def _model_warning(model: Manifest) -> str | None:
-    if beats_frequency(model) is not False:
-        return None
-    own, frequency = part(model, "metrics"), part(model, "frequency_metrics")
-    shown = [
-        f"{METRICS[metric][0]} {value:.4f} against {other:.4f}"
-        for metric in DECIDING
-        if (value := _number(own.get(metric))) is not None and (other := _number(frequency.get(metric))) is not None
-    ]
-    figures = f" ({', '.join(shown)})" if shown else ""
-    return f"The likelihood model does not beat the frequency table on held-back homes{figures}."
-
-
-def _metric_table(own: Manifest, frequency: Manifest) -> Table | None:
-    rows = []
-    for metric, (name, better) in METRICS.items():
-        values = _number(own.get(metric)), _number(frequency.get(metric))
-        if values != (None, None):
-            entries = tuple(Entry(NOTHING if value is None else f"{value:.4f}") for value in values)
-            rows.append(Row(f"{name} ({better} is better)" if better else name, entries))
-    return Table((("", "this model"), ("", "frequency table")), tuple(rows)) if rows else None
 
 
 def _shown(listed: Sequence[tuple[str, object]]) -> tuple[Fact, ...]:

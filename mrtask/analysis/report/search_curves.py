@@ -1,34 +1,33 @@
-"""What search is worth: cost against the number of samples (the anytime curve), and cost and time against team size.
+"""The value of search: cost against the number of samples (the anytime curve), and cost and time against team size.
 
-Everything in a panel is over the same trials, those that all of its planners finished, all size classes together.
+Everything in a panel is over the same trials: those that all of its planners finished, in all size classes.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
-from mrtask.analysis.page.style import BLACK, GREY, house_style, new_figure, planner_label, planner_looks, seconds
-from mrtask.analysis.results.statistics import (
-    INFORMED_BASELINE,
-    KNOWN,
-    REFERENCES,
-    RULE,
-    Bootstrap,
-    Estimate,
-    improvement_of_means,
+from mrtask.analysis.page.charts import (
+    LINE,
+    WIDTH_IN,
+    Look,
+    legend_below,
+    panels,
+    planner_handles,
+    ticks_as,
+    with_band,
 )
-from mrtask.arrays import Floats
+from mrtask.analysis.page.style import BLACK, GREY, house_style, planner_label, planner_looks, seconds
+from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES, RULE
+from mrtask.analysis.results.statistics import Estimate, PairedCosts, decision_s, paired_costs
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 
 BUDGET = "sample_budget"
-"""Column: the samples per decision that a planner was given; NaN for one that takes none."""
+"""Column: the samples per decision that a planner may draw; NaN for a planner that draws none."""
 LEVEL_PLANNERS = (INFORMED_BASELINE, RULE, KNOWN)
 """Drawn as level lines beside the curves, where they ran."""
 MIN_TEAMS = 4
@@ -43,7 +42,7 @@ Point = tuple[str, float]
 
 @dataclass(frozen=True)
 class Worth:
-    """Planner against planner by team size: the robots where the first is clearly sooner, and where it is not."""
+    """The team sizes at which one planner is clearly sooner than another, and those at which it is not."""
 
     clear: tuple[int, ...]
     unclear: tuple[int, ...]
@@ -62,28 +61,18 @@ class SampleCurves:
     budgets: Mapping[str, tuple[float, ...]]
     """Planner -> its budgets in rising order."""
     best: Point
-    """What the lower panels are relative to."""
+    """The reference of the lower panels."""
 
     @property
     def planners(self) -> tuple[str, ...]:
-        """All that are drawn, in the order of the legend."""
+        """All planners that are drawn, in the order of the legend."""
         return (*self.curves, *self.levels)
-
-    @property
-    def points(self) -> list[Point]:
-        """Every planner that is drawn with each of its budgets."""
-        return [(name, budget) for name in self.planners for budget in self.budgets[name]]
-
-    @property
-    def ticks(self) -> list[float]:
-        """The budgets of all curves."""
-        return sorted({budget for name in self.curves for budget in self.budgets[name]})
 
 
 def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves | None:
     """What `draw_sample_curves` draws; ``best`` is ``planner``, or the last with a curve, at its largest budget.
 
-    None where no planner ran with several budgets, or where a sweep changed something else too.
+    None where no planner ran with several budgets, or where the sweep also changed something else.
     """
     if BUDGET not in episodes.columns:
         return None
@@ -102,134 +91,92 @@ def sample_curves(episodes: pd.DataFrame, planner: str | None) -> SampleCurves |
     return SampleCurves(rows, curves, levels, budgets, (relative_to, budgets[relative_to][-1]))
 
 
+@house_style()
 def draw_sample_curves(shown: SampleCurves) -> Figure:
-    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is left to gain."""
+    """Mean cost by samples per decision, a column per team size, a curve per planner; below, what is still to gain."""
     teams = sorted(shown.rows["robots"].unique())
     looks = planner_looks(shown.planners)
     reference, samples = shown.best
-    with house_style():
-        figure = new_figure(PANEL_WIDTH_IN * max(len(teams), 2), 2 * PANEL_HEIGHT_IN + 0.5)
-        grid = figure.subplots(2, len(teams), squeeze=False, sharex=True, sharey="row")
-        for robots, (upper, lower) in zip(teams, grid.T, strict=True):
-            trials = _draw_team_curves(shown, robots, upper, lower, looks)
-            upper.set_title(f"{counted(robots, 'robot')}, {trials} trials")
-            upper.set_xscale("log")
-            upper.set_xticks(shown.ticks, [f"{tick:,.0f}" for tick in shown.ticks])
-            upper.xaxis.set_minor_locator(NullLocator())
-            lower.set_xlabel("samples per decision")
-        grid[1, 0].set_ylim(top=min(grid[1, 0].get_ylim()[1], MAX_ABOVE_PERCENT))
-        grid[0, 0].set_ylabel("mean cost (grid cells)")
-        grid[1, 0].set_ylabel(f"% above {planner_label(reference)}\nwith {samples:,.0f} samples")
-        handles = [_handle(name, looks[name], level=name in shown.levels) for name in shown.planners]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    ticks = sorted({budget for name in shown.curves for budget in shown.budgets[name]})
+    width_in = PANEL_WIDTH_IN * max(len(teams), 2)
+    figure, grid = panels(width_in, 2 * PANEL_HEIGHT_IN + 0.5, 2, len(teams), sharex=True, sharey="row")
+    for robots, (upper, lower) in zip(teams, grid.T, strict=True):
+        trials = _draw_team_curves(shown, robots, upper, lower, looks)
+        upper.set_title(f"{counted(robots, 'robot')}, {trials} trials")
+        lower.set_xlabel("samples per decision")
+        ticks_as(upper.xaxis, "{:,.0f}".format, ticks, log=True)
+    grid[1, 0].set_ylim(top=min(grid[1, 0].get_ylim()[1], MAX_ABOVE_PERCENT))
+    grid[0, 0].set_ylabel("mean cost (grid cells)")
+    grid[1, 0].set_ylabel(f"% above {planner_label(reference)}\nwith {samples:,.0f} samples")
+    legend_below(figure, planner_handles(shown.planners, dashed=shown.levels))
     return figure
 
 
-def _draw_team_curves(
-    shown: SampleCurves, robots: int, upper: Axes, lower: Axes, looks: Mapping[str, tuple[str, str]]
-) -> int:
-    """Draws the two panels of one team size; returns the number of trials in them."""
+def _draw_team_curves(shown: SampleCurves, robots: int, upper: Axes, lower: Axes, looks: Mapping[str, Look]) -> int:
+    """Draw the two panels of one team size; return the number of trials in them."""
     rows = shown.rows[shown.rows["robots"] == robots]
     costs = rows.pivot(index="trial_id", columns=["planner", BUDGET], values="cost_cells")
-    points = [point for point in shown.points if point in costs.columns]
-    means = Bootstrap(costs[points].dropna().to_numpy())
+    every = [(name, budget) for name in shown.planners for budget in shown.budgets[name]]
+    points = [point for point in every if point in costs.columns]
+    paired = PairedCosts(costs[points].dropna())
     for name in shown.planners:
         own = [point for point in points if point[0] == name]
-        _curve(upper, own, [means.estimate(_first, [points.index(point)]) for point in own], looks[name])
+        _curve(upper, own, [paired.mean(point) for point in own], looks[name])
         if shown.best in points:
-            pairs = [[points.index(point), points.index(shown.best)] for point in own]
-            _curve(lower, own, [means.estimate(_above_percent, pair) for pair in pairs], looks[name])
+            _curve(lower, own, [paired.above(point, shown.best) for point in own], looks[name])
     lower.axhline(0, color=GREY, linewidth=0.8, zorder=0)
-    return len(means.costs)
+    return len(paired.costs)
 
 
+@house_style()
 def by_team(episodes: pd.DataFrame, planner: str) -> Figure | None:
     """Mean cost, improvement over each reference and planning time per decision by team size; None with few sizes."""
-    teams = sorted(episodes["robots"].unique())
-    if len(teams) < MIN_TEAMS:
+    found = _costs_by_team(episodes)
+    if len(found) < MIN_TEAMS:
         return None
-    planners = planners_in_order(episodes["planner"].unique())
+    teams, planners = list(found), planners_in_order(episodes["planner"].unique())
     looks = planner_looks(planners)
-    found = {robots: _team_costs(episodes, robots, planners) for robots in teams}
-    with house_style():
-        figure = new_figure(3 * PANEL_WIDTH_IN, PANEL_HEIGHT_IN + 0.9)
-        costs, gains, times = figure.subplots(1, 3)
-        for index, name in enumerate(planners):
-            means = [found[robots].estimate(_first, [index]) for robots in teams]
-            _line(costs, teams, means, looks[name])
-            of_planner = episodes[episodes["planner"] == name]
-            if {"planning_s", "decisions"} <= set(of_planner.columns):
-                sums = of_planner.groupby("robots")[["planning_s", "decisions"]].sum()
-                each_s = (sums["planning_s"] / sums["decisions"]).reindex(teams).to_numpy(dtype=np.float64)
-                times.plot(teams, each_s, color=looks[name][0], marker=looks[name][1], markersize=5)
-        for name, estimates in _gains(found, planners, planner).items():
-            _line(gains, teams, estimates, looks[name])
-        gains.axhline(0, color=BLACK, linewidth=0.8, zorder=0)
-        costs.set_ylim(bottom=0)
-        times.set_yscale("log")
-        times.yaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
-        times.yaxis.set_minor_formatter(NullFormatter())
-        costs.set(title="mean cost (grid cells)")
-        gains.set(title=f"improvement of {planner_label(planner)} (%) over")
-        times.set(title="planning time per decision")
-        for axes in (costs, gains, times):
-            axes.set(xlabel="robots", xticks=teams)
-        handles = [_handle(name, looks[name]) for name in planners]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    times_s = {robots: decision_s(episodes[episodes["robots"] == robots]) for robots in teams}
+    figure, ((costs, gains, times),) = panels(WIDTH_IN, PANEL_HEIGHT_IN + 0.9, columns=3)
+    for name in planners:
+        with_band(costs, teams, [each.mean(name) for each in found.values()], looks[name])
+        if name in REFERENCES and name != planner:
+            with_band(gains, teams, [each.improvement(planner, name) for each in found.values()], looks[name])
+        if timed := [robots for robots in teams if name in times_s[robots]]:
+            own_s = [times_s[robots][name] for robots in timed]
+            times.plot(timed, own_s, color=looks[name][0], marker=looks[name][1], **LINE)
+    gains.axhline(0, color=BLACK, linewidth=0.8, zorder=0)
+    costs.set_ylim(bottom=0)
+    ticks_as(times.yaxis, seconds, log=True)
+    costs.set(title="mean cost (grid cells)", xlabel="robots", xticks=teams)
+    gains.set(title=f"improvement of {planner_label(planner)} (%) over", xlabel="robots", xticks=teams)
+    times.set(title="planning time per decision", xlabel="robots", xticks=teams)
+    legend_below(figure, planner_handles(planners))
     return figure
 
 
 def worth_by_team(episodes: pd.DataFrame, planner: str, other: str) -> Worth | None:
     """With how many robots ``planner`` is clearly (interval above zero) sooner than ``other``; None without both."""
-    planners = planners_in_order(episodes["planner"].unique())
-    if planner == other or not {planner, other} <= set(planners):
+    if planner == other or not {planner, other} <= set(episodes["planner"]):
         return None
-    found = {int(robots): _team_costs(episodes, robots, planners) for robots in sorted(episodes["robots"].unique())}
-    estimates = dict(zip(found, _gains(found, planners, planner)[other], strict=True))
-    clear = tuple(robots for robots, each in estimates.items() if each.low > 0)
-    return Worth(clear, tuple(robots for robots in estimates if robots not in clear))
+    gains = {robots: each.improvement(planner, other) for robots, each in _costs_by_team(episodes).items()}
+    clear = tuple(robots for robots, each in gains.items() if each.low > 0)
+    return Worth(clear, tuple(robots for robots in gains if robots not in clear))
 
 
-def _team_costs(episodes: pd.DataFrame, robots: int, planners: Sequence[str]) -> Bootstrap:
-    rows = episodes[episodes["robots"] == robots]
-    costs = rows.pivot(index="trial_id", columns="planner", values="cost_cells").reindex(columns=list(planners))
-    return Bootstrap(costs.dropna().to_numpy())
+def _costs_by_team(episodes: pd.DataFrame) -> dict[int, PairedCosts]:
+    """Team size -> the costs of the trials that all planners finished; in rising order."""
+    planners, found = list(episodes["planner"].unique()), {}
+    for robots in sorted(map(int, episodes["robots"].unique())):
+        costs = paired_costs(episodes[episodes["robots"] == robots], "cost_cells")
+        found[robots] = PairedCosts(costs.reindex(columns=planners).dropna())
+    return found
 
 
-def _gains(found: Mapping[int, Bootstrap], planners: Sequence[str], planner: str) -> dict[str, list[Estimate]]:
-    """Reference -> the improvement over it by team size."""
-    own = planners.index(planner)
-    return {
-        name: [each.estimate(improvement_of_means, [own, planners.index(name)]) for each in found.values()]
-        for name in REFERENCES
-        if name in planners and name != planner
-    }
-
-
-def _first(means: Floats) -> Floats:
-    return means[..., 0]
-
-
-def _above_percent(means: Floats) -> Floats:
-    return np.asarray(100 * (means[..., 0] / means[..., 1] - 1))
-
-
-def _curve(axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: tuple[str, str]) -> None:
-    """A curve over budgets; a planner without one is a level line."""
+def _curve(axes: Axes, points: Sequence[Point], estimates: Sequence[Estimate], look: Look) -> None:
+    """A curve over budgets; a planner without a budget is a level line."""
     budgets = [budget for _, budget in points]
     if budgets == [0.0]:
         axes.axhline(estimates[0].value, color=look[0], linestyle="--", linewidth=1.2)
     elif estimates:
-        _line(axes, budgets, estimates, look)
-
-
-def _line(axes: Axes, places: Sequence[float], estimates: Sequence[Estimate], look: tuple[str, str]) -> None:
-    values, lows, highs = np.array([[each.value, each.low, each.high] for each in estimates]).T
-    axes.plot(places, values, color=look[0], marker=look[1], markersize=5, linewidth=1.6)
-    axes.fill_between(list(places), lows, highs, color=look[0], alpha=0.15, linewidth=0)
-
-
-def _handle(name: str, look: tuple[str, str], level: bool = False) -> Line2D:
-    if level:
-        return Line2D([], [], color=look[0], linestyle="--", label=planner_label(name))
-    return Line2D([], [], color=look[0], marker=look[1], label=planner_label(name))
+        with_band(axes, budgets, estimates, look)

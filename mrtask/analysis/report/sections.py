@@ -9,26 +9,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import pandas as pd
+from matplotlib.figure import Figure
 
 from mrtask.analysis.drawing.replay_content import task_in_words
-from mrtask.analysis.drawing.trajectories import task_objects
-from mrtask.analysis.page import entries
-from mrtask.analysis.page.columns import Entry, Row, Table
+from mrtask.analysis.drawing.trajectories import draw_trial, instructive_trials, task_objects
 from mrtask.analysis.page.exhibits import Content, Picture, ShownTable
-from mrtask.analysis.page.findings import Findings
+from mrtask.analysis.page.rendering import Findings, render_fragment
 from mrtask.analysis.page.style import NOTHING, planner_label, robot_color
-from mrtask.analysis.page.templating import render_fragment
-from mrtask.analysis.report import (
-    captioned_charts,
-    cost_profiles,
-    gap,
-    report_tables,
-    result_charts,
-    run_facts,
-    search_curves,
-)
+from mrtask.analysis.page.tables import MARKS, Entry, Row, Table
+from mrtask.analysis.report import cell_tables, cost_profiles, gap, overview_charts, run_facts, search_curves
 from mrtask.analysis.report.answer import find
-from mrtask.analysis.report.by_template import results_by_template, template_table
+from mrtask.analysis.report.by_template import draw_templates, results_by_template, template_table
 from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdown, methods_sentences
 from mrtask.analysis.report.paper_claims import claims_table, count_verdicts, judge_claims
 from mrtask.analysis.report.planner_table import planner_table
@@ -40,10 +31,13 @@ from mrtask.analysis.report.trial_browser import (
     PLOT_SIZE,
     TrialBrowser,
     browse_trials,
+    compared_planners,
     place,
 )
-from mrtask.analysis.report.wins import pair_table
-from mrtask.analysis.results.statistics import BASELINES, MIN_TRIALS_FOR_INTERVAL, RESAMPLES, main_planner
+from mrtask.analysis.report.wins import draw_wins, pair_table
+from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
+from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES
+from mrtask.names import counted
 
 
 @dataclass(frozen=True)
@@ -55,30 +49,30 @@ class Section:
     """The entry in the navigation."""
     title: str
     content: Callable[[ReportData], Content | None]
-    """Makes what stands below the heading; None leaves the section out."""
+    """Makes the content below the heading; None leaves the section out."""
 
 
-def _content(template: str, exhibits: Sequence[ShownTable | Picture] = (), **values: object) -> Content:
+def _content(template: str, *exhibits: ShownTable | Picture | None, **values: object) -> Content:
     """A section from its template, which sees its tables and pictures as ``tables`` and ``pictures``."""
-    shown_tables = [each for each in exhibits if isinstance(each, ShownTable)]
+    tables = [each for each in exhibits if isinstance(each, ShownTable)]
     pictures = [each for each in exhibits if isinstance(each, Picture)]
-    html = render_fragment(template, tables={each.name: each for each in shown_tables}, pictures=pictures, **values)
-    return Content(html, shown_tables, pictures)
+    html = render_fragment(template, tables={each.name: each for each in tables}, pictures=pictures, **values)
+    return Content(html, tables, pictures)
 
 
-def _table(name: str, title: str, table: Table | None, corner: str, wide: bool = False) -> list[ShownTable]:
-    """The table under its name, where there is one."""
-    return [ShownTable(name, title, table, corner, wide)] if table is not None else []
+def _table(name: str, title: str, table: Table | None, corner: str, wide: bool = False) -> ShownTable | None:
+    return None if table is None else ShownTable(name, title, table, corner, wide)
+
+
+def _picture(name: str, title: str, caption: str, figure: Figure | None) -> Picture | None:
+    return None if figure is None else Picture(name, title, caption, figure)
 
 
 def paper_table_section(data: ReportData) -> Content:
     """The paper's table with our results in it."""
-    table = report_tables.paper_table(data.summary, data.published, data.planner)
-    return _content(
-        "paper_table",
-        _table("paper", "Mean costs and improvements by home size and team size", table, "planner", wide=True),
-        marks={"above": entries.ABOVE, "below": entries.BELOW, "level": entries.LEVEL},
-    )
+    table = cell_tables.paper_table(data.summary, data.published, data.planner)
+    title = "Mean costs and improvements by home size and team size"
+    return _content("paper_table", _table("paper", title, table, "planner", wide=True), marks=MARKS)
 
 
 def variants_section(data: ReportData) -> Content | None:
@@ -86,49 +80,101 @@ def variants_section(data: ReportData) -> Content | None:
     if len(data.summaries) < 2:
         return None
     found = _variant_findings(data)
-    sample_curves = search_curves.sample_curves(data.episodes, data.planner)
-    side_by_side = report_tables.variant_table(data.summaries, data.planner)
+    curves = search_curves.sample_curves(data.episodes, data.planner)
+    side_by_side = cell_tables.variant_table(data.summaries, data.planner)
     return _content(
         "variants",
-        [
-            *_table("variants", "The variants of the sweep", side_by_side, "variant"),
-            *(shown for _, shown in found.values()),
-            *captioned_charts.picture(
-                "samples",
-                search_curves.draw_sample_curves(sample_curves) if sample_curves else None,
-                "Cost against samples",
-                "Above: mean cost with 95 % bootstrap intervals, which say how much trials differ. Below: the same "
-                "trials paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: "
-                "planners that take no samples.",
-            ),
-            *captioned_charts.picture(
-                "variants",
-                result_charts.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
-                "Improvement by variant",
-                "All team sizes together, 95 % paired bootstrap intervals.",
-            ),
-        ],
+        _table("variants", "The variants of the sweep", side_by_side, "variant"),
+        *(shown for _, shown in found.values()),
+        _picture(
+            "samples",
+            "Cost against samples",
+            "Above: mean cost with 95 % bootstrap intervals, which show how much trials differ. Below: the same trials "
+            "paired, so a band that excludes zero has more to gain from samples; cut off at 100 %. Dashed: planners "
+            "that take no samples.",
+            search_curves.draw_sample_curves(curves) if curves else None,
+        ),
+        _picture(
+            "variants",
+            "Improvement by variant",
+            "All team sizes together, 95 % paired bootstrap intervals.",
+            overview_charts.sweep(data.summaries, data.planner, BASELINES) if data.planner else None,
+        ),
         findings=found,
     )
 
 
+def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, ShownTable]]:
+    """Each variant's own answer and paper table."""
+    found = {}
+    for number, (variant, summary) in enumerate(data.summaries.items(), 1):
+        planner = data.planner if data.planner in summary.planners else main_planner(summary.planners)
+        table = cell_tables.paper_table(summary, data.published, planner)
+        title = f"Mean costs and improvements: {variant or 'as configured'}"
+        shown = ShownTable(f"paper-variant-{number}", title, table, "planner", wide=True)
+        found[variant] = (find(summary, data.published, planner), shown)
+    return found
+
+
 def figures_section(data: ReportData) -> Content:
     """The charts."""
-    return _content("figures", captioned_charts.overview_charts(data))
+    rows, summary, published, planner = data.rows, data.summary, data.published, data.planner
+    return _content(
+        "figures",
+        _picture(
+            "improvement",
+            "Improvement by home size and team size",
+            "Share of the baseline's mean cost that is saved, with 95 % paired bootstrap intervals.",
+            overview_charts.improvements(summary, published, planner, BASELINES) if planner else None,
+        ),
+        _picture(
+            "mean-cost",
+            "Mean cost by team size",
+            "95 % bootstrap intervals. Published means (dotted, hollow) are on the paper's own homes and tasks: "
+            "compare improvements rather than costs.",
+            overview_charts.mean_costs(summary, published),
+        ),
+        _picture(
+            "scatter",
+            "Planner against baseline, trial by trial",
+            "One point per trial that both finished. In the shaded half, below the line, the planner is cheaper.",
+            overview_charts.scatter(rows, summary, planner, BASELINES) if planner else None,
+        ),
+        _picture(
+            "planning-time",
+            "Planning time per decision",
+            "Median and quartiles over episodes; whiskers from the 5th to the 95th percentile.",
+            overview_charts.planning_times(rows, summary.planners),
+        ),
+        _picture(
+            "team-size",
+            "Cost and planning time by team size",
+            f"All size classes together; bands are 95 % bootstrap intervals. {_where_search_helps(data)}".strip(),
+            search_curves.by_team(rows, planner) if planner else None,
+        ),
+    )
+
+
+def _where_search_helps(data: ReportData) -> str:
+    found = search_curves.worth_by_team(data.rows, data.planner, RULE) if data.planner else None
+    if data.planner is None or found is None:
+        return ""
+    teams = {"clearly sooner": found.clear, "not clearly sooner": found.unclear}
+    parts = [f"{how} with {', '.join(map(str, sizes))}" for how, sizes in teams.items() if sizes]
+    return f"Against {RULE}, {planner_label(data.planner)} is {' robots, '.join(parts)} robots."
 
 
 def templates_section(data: ReportData) -> Content | None:
     """Each form of task by itself; None where the rows name no templates."""
     results = results_by_template(data.rows, data.planner)
-    if data.planner is None or not results:
+    if data.planner is None or results is None:
         return None
-    title = f"{planner_label(data.planner)} by template"
+    name = planner_label(data.planner)
+    caption = f"Of {name} over each of the others, all cells together, with 95 % paired bootstrap intervals."
     return _content(
         "templates",
-        [
-            *captioned_charts.template_chart(results, data.planner),
-            *_table("templates", title, template_table(results), "template"),
-        ],
+        _picture("templates", "Improvement by template", caption, draw_templates(results, data.planner)),
+        _table("templates", f"{name} by template", template_table(results, data.planner), "template"),
     )
 
 
@@ -137,32 +183,64 @@ def wins_section(data: ReportData) -> Content | None:
     pairs = pair_table(data.summary, data.planner)
     if data.planner is None or pairs is None:
         return None
-    title = f"{planner_label(data.planner)} against each of the others, cell by cell"
+    name = planner_label(data.planner)
+    caption = (
+        f"Share of the trials that both finished in which {name} was sooner (left), equally fast (middle), or later "
+        "(right) than the planner named above the panel."
+    )
     return _content(
         "wins",
-        [*captioned_charts.wins_chart(data), *_table("wins", title, pairs, "cell")],
-        planner=planner_label(data.planner),
+        _picture("wins", "Wins, ties and losses", caption, draw_wins(data.summary, data.planner)),
+        _table("wins", f"{name} against each of the others, cell by cell", pairs, "cell"),
+        planner=name,
     )
 
 
 def distribution_section(data: ReportData) -> Content | None:
     """The whole distribution of costs; None where nothing was finished."""
     ratios = cost_profiles.cost_ratios(data.rows)
-    pictures = captioned_charts.distribution_charts(data, ratios)
-    if not pictures:
+    costs = cost_profiles.draw_costs(data.rows, data.summary)
+    if ratios is None and costs is None:
         return None
     title = "The share of trials in which each planner is the cheapest, or nearly"
     return _content(
         "distribution",
-        [*pictures, *_table("profile", title, cost_profiles.profile_table(ratios), "planner")],
+        _picture(
+            "profile",
+            "Performance profile",
+            "The share of trials that a planner finishes within a factor of the cheapest planner of the same trial "
+            "(Dolan and Moré, 2002): at 1 how often it is the cheapest, further right how seldom it is far off. Higher "
+            "is better.",
+            cost_profiles.draw_profile(ratios) if ratios else None,
+        ),
+        _picture(
+            "distribution",
+            "Cost distribution",
+            "The share of a cell's trials finished at no more than this cost. A curve further left is better. Each "
+            "axis ends at the 99th percentile of its panel: trials missing there cost more, or failed.",
+            costs,
+        ),
+        _table("profile", title, cost_profiles.profile_table(ratios), "planner"),
         trials=len(ratios.ratios) if ratios else 0,
     )
 
 
 def trajectories_section(data: ReportData) -> Content | None:
-    """Some episodes, drawn; None where none can be."""
-    pictures = captioned_charts.trajectories(data)
-    return _content("trajectories", pictures) if pictures else None
+    """Some episodes, drawn; None where there are no traces or homes."""
+    if data.planner is None or "trace" not in data.rows.columns:
+        return None
+    names = compared_planners(data.rows, data.planner)
+    beside = names[1] if len(names) > 1 else None
+    pictures = []
+    for number, pick in enumerate(instructive_trials(data.rows, data.planner, beside, data.homes.keys()), 1):
+        rows = data.rows[data.rows["trial_id"] == pick.trial_id].to_dict("records")
+        trial = {row["planner"]: row for row in rows}
+        own = trial[data.planner]
+        title = f"{pick.reason[0].upper()}{pick.reason[1:]}: trial {pick.trial_id}, {counted(own['robots'], 'robot')}"
+        task = f"Task: {own['formula']}. " if "formula" in own else ""
+        figure = draw_trial(data.homes[pick.home_id], {name: trial[name] for name in names})
+        pictures.append(Picture(f"trajectory-{number}", title, f"{task}Home {pick.home_id}.", figure))
+    return _content("trajectories", *pictures) if pictures else None
 
 
 def trials_section(data: ReportData) -> Content | None:
@@ -192,23 +270,21 @@ def optimality_section(data: ReportData) -> Content | None:
     """How far planners are from the best that any planner can reach; None where it was not measured."""
     if not data.optimality:
         return None
-    table = report_tables.optimality_table(data.optimality)
+    table = cell_tables.optimality_table(data.optimality)
     return _content("optimality", _table("optimality", "How far planners are from optimal", table, "cell"))
 
 
 def gap_section(data: ReportData) -> Content | None:
-    """What the gap between planners and knowing everything is made of; None where the planners for that did not run."""
+    """The parts of the gap between planners and knowing everything; None where the planners this needs did not run."""
     ladder = gap.find_ladder(data.manifest, data.summary.planners)
     if ladder is None or not (gaps := gap.gaps_of(data.rows, data.summary, ladder, data.optimality)):
         return None
     title = "What the gap is made of"
-    caption = "Mean cost above known, by part; the stroke is the whole, which parts below zero draw back."
+    caption = "Mean cost above known, by part; the stroke marks the whole, which parts below zero reduce."
     return _content(
         "gap",
-        [
-            *captioned_charts.picture("gap", gap.draw_gaps(gaps), title, caption),
-            *_table("gap", title, gap.gap_table(gaps), "planner", wide=True),
-        ],
+        _picture("gap", title, caption, gap.draw_gaps(gaps)),
+        _table("gap", title, gap.gap_table(gaps), "planner", wide=True),
         truth=planner_label(ladder.truth),
         model=planner_label(ladder.model),
         counted=data.manifest.get("true_likelihoods") == "counted",
@@ -218,9 +294,14 @@ def gap_section(data: ReportData) -> Content | None:
 
 
 def model_section(data: ReportData) -> Content:
-    """What the likelihood model is and how good."""
+    """The likelihood model, and how good it is."""
     title = "The likelihood model on homes held back from training"
-    return _content("model", _table("model", title, data.model.metrics, "metric"), model=data.model)
+    return _content(
+        "model",
+        _table("model", title, run_facts.metric_table(data.manifest), "metric"),
+        facts=run_facts.model_facts(data.manifest, data.episodes),
+        warning=run_facts.model_warning(data.manifest),
+    )
 
 
 def homes_section(data: ReportData) -> Content:
@@ -240,11 +321,11 @@ def run_section(data: ReportData) -> Content:
 
 
 def method_section(data: ReportData) -> Content:
-    """How the numbers are computed, and the published ones that they stand beside."""
+    """How the numbers are computed, and where the published ones come from."""
     title = "The paper's trials in real apartments"
     return _content(
         "method",
-        _table("real-world", title, report_tables.real_world_table(data.published), "trial"),
+        _table("real-world", title, cell_tables.real_world_table(data.published), "trial"),
         resamples=RESAMPLES,
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
         citation=data.published.citation,
@@ -253,7 +334,7 @@ def method_section(data: ReportData) -> Content:
 
 
 def papers_section(data: ReportData) -> Content:
-    """What a paper on this run needs besides tables and figures: a paragraph on methods, and citations."""
+    """Further text for a paper on this run: a methods paragraph, and citations."""
     sentences = methods_sentences(data)
     code_version = data.manifest.get("code_version")
     entries = bibtex(data.published, str(code_version) if code_version else None)
@@ -300,20 +381,8 @@ SECTIONS: Sequence[Section] = (
 """In the order of the page."""
 
 
-def _variant_findings(data: ReportData) -> dict[str, tuple[Findings, ShownTable]]:
-    """Each variant's own answer and paper table, for those that are not shown in full."""
-    found = {}
-    for number, (variant, summary) in enumerate(data.summaries.items(), 1):
-        planner = data.planner if data.planner in summary.planners else main_planner(summary.planners)
-        table = report_tables.paper_table(summary, data.published, planner)
-        title = f"Mean costs and improvements: {variant or 'as configured'}"
-        shown = ShownTable(f"paper-variant-{number}", title, table, "planner", wide=True)
-        found[variant] = (find(summary, data.published, planner), shown)
-    return found
-
-
 def _notable_table(data: ReportData, browser: TrialBrowser) -> Table | None:
-    """Why each trial is worth a look, its task, and what came of it with the planner and the baseline."""
+    """Why each trial is worth a look, its task, and its outcome with the planner and the baseline."""
     rows = [
         Row(
             pick.trial_id,
@@ -341,7 +410,7 @@ def _task(rows: pd.DataFrame, trial_id: str) -> str:
 
 
 def _outcomes(rows: pd.DataFrame, trial_id: str, browser: TrialBrowser) -> list[str]:
-    """What came of a trial with the planner and the baseline: seconds, or the status."""
+    """A trial's outcome with the planner and the baseline: seconds, or the status."""
     of_trial = rows[rows["trial_id"] == trial_id].to_dict("records")
     found = {
         row["planner"]: f"{row['cost_s']:.1f} s" if row["status"] == "accepted" else row["status"] for row in of_trial

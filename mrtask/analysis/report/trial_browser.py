@@ -1,7 +1,7 @@
 """Trial by trial: a scatter whose points lead to their trials, and the trials that are worth a look.
 
-The points, their names and the list of notable trials stand in the page; all that a click shows (outcomes, both paths
-on the floor plan) is packed beside them and unpacked by ``report.js``.
+The page holds the points, their names and the list of notable trials in plain HTML. The content behind a click
+(outcomes, both paths on the floor plan) is packed beside them and unpacked by ``report.js``.
 """
 
 import base64
@@ -26,14 +26,14 @@ from mrtask.homes.home import Home
 
 WORST_LOSSES, FAILURES = 10, 10
 MAX_MAPPED_TRIALS = 3000
-"""Of larger runs only the notable trials have a map: the report would grow too large."""
+"""In larger runs only the notable trials have a map, or the report would grow too large."""
 PLOT_SIZE, PLOT_LEFT, PLOT_BOTTOM, PLOT_PAD = 520, 54, 40, 12
 MAX_TICKS = 6
 NEEDED = (
     *("trial_id", "home_id", "size_class", "robots", "template", "formula", "objects"),
     *("planner", "status", "cost_cells", "trace"),
 )
-"""The columns that a click shows something of."""
+"""The columns from which a click shows something."""
 ROOM_INDEX = {name: index for index, name in enumerate(ROOM_COLORS)}
 
 
@@ -52,20 +52,20 @@ class Point:
 class TrialBrowser:
     """What the section shows."""
 
-    planner: str
-    baseline: str | None
-    points: tuple[Point, ...]
-    top: float
-    """The axes' largest value, in grid cells."""
-    ticks: tuple[float, ...]
-    packed: str
-    """Everything that a click shows: JSON, gzip, base64."""
-    templates: tuple[str, ...]
-    size_classes: tuple[str, ...]
-    robots: tuple[int, ...]
-    planners: tuple[str, ...]
+    content: Mapping[str, Any]
+    """All that a click shows, as ``report.js`` reads it; the planner comes first, then the baseline beside it."""
     compared: tuple[str, ...]
     """The full names of the planner and the baseline."""
+    robots: tuple[int, ...]
+    points: tuple[Point, ...]
+    ticks: tuple[float, ...]
+    """On both axes, in grid cells."""
+
+    @property
+    def packed(self) -> str:
+        """The content as JSON, gzip, base64."""
+        text = json.dumps(self.content, separators=(",", ":"), allow_nan=False)
+        return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
 
 
 def notable_trials(rows: pd.DataFrame, planner: str | None) -> list[Pick]:
@@ -73,20 +73,17 @@ def notable_trials(rows: pd.DataFrame, planner: str | None) -> list[Pick]:
     if planner is None or "home_id" not in rows.columns:
         return []
     baseline = baseline_beside(rows["planner"], planner)
+    home_of = dict(zip(rows["trial_id"], rows["home_id"].astype(str), strict=True))
     picks = instructive_trials(rows.drop(columns="trace", errors="ignore"), planner, baseline)
-    own = rows[rows["planner"] == planner]
-    failed = own[own["status"] == "failed"].head(FAILURES)
-    picks += [Pick(str(row["trial_id"]), str(row["home_id"]), "failed") for row in failed.to_dict("records")]
+    reasons = {pick.trial_id: pick.reason for pick in picks}
+    for trial in rows.loc[(rows["planner"] == planner) & (rows["status"] == "failed"), "trial_id"].head(FAILURES):
+        reasons.setdefault(trial, "failed")
     if baseline is not None:
         costs = paired_costs(rows)[[planner, baseline]].dropna()
         lost = (costs[planner] - costs[baseline]).sort_values(ascending=False, kind="stable")
-        home_of = dict(zip(rows["trial_id"], rows["home_id"].astype(str), strict=True))
-        worst = lost[lost > 0].head(WORST_LOSSES)
-        picks += [Pick(str(trial), home_of[str(trial)], f"lost {lost_s:.1f} s") for trial, lost_s in worst.items()]
-    first: dict[str, Pick] = {}
-    for pick in picks:
-        first.setdefault(pick.trial_id, pick)
-    return list(first.values())
+        for trial, lost_s in lost[lost > 0].head(WORST_LOSSES).items():
+            reasons.setdefault(str(trial), f"lost {lost_s:.1f} s")
+    return [Pick(trial, home_of[trial], reason) for trial, reason in reasons.items()]
 
 
 def compared_planners(rows: pd.DataFrame, planner: str | None) -> tuple[str, ...]:
@@ -113,22 +110,20 @@ def browse_trials(
     """
     if planner is None or rows.empty:
         return None
-    baseline = baseline_beside(rows["planner"], planner)
-    planners = list(dict.fromkeys([planner, *([baseline] if baseline else []), *sorted(set(rows["planner"]))]))
+    compared = compared_planners(rows, planner)
+    planners = list(dict.fromkeys([*compared, *sorted(set(rows["planner"]))]))
     templates = sorted(set(rows["template"].dropna().astype(str))) if "template" in rows.columns else []
     classes = size_classes_in_order(rows["size_class"].unique())
     drawn: dict[str, int] = {}
-    by_trial: dict[str, list[Mapping[Any, Any]]] = {}
-    for row in rows[[name for name in NEEDED if name in rows.columns]].to_dict("records"):
-        by_trial.setdefault(str(row["trial_id"]), []).append(row)
+    by_trial = rows[[name for name in NEEDED if name in rows.columns]].groupby("trial_id")
+    found = {str(trial_id): of_trial.to_dict("records") for trial_id, of_trial in by_trial}
     trials = [
-        _trial(by_trial[trial_id], planners, templates, classes, drawn, homes)
-        for trial_id in sorted(by_trial, key=natural_key)
+        _trial(found[trial_id], planners, templates, classes, drawn, homes)
+        for trial_id in sorted(found, key=natural_key)
     ]
-    costs = [cost for trial in trials for cost in trial["cost"] if cost is not None]
-    top = max(costs, default=0.0) * 1.04 or 1.0
+    top = max((cost for trial in trials for cost in trial["cost"] if cost is not None), default=0.0) * 1.04 or 1.0
     content = {
-        "planners": [planner_label(name) for name in planners],
+        "planners": list(map(planner_label, planners)),
         "names": planners,
         "templates": templates,
         "classes": classes,
@@ -138,20 +133,8 @@ def browse_trials(
         "replays": sorted(replays),
         "trials": trials,
     }
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    return TrialBrowser(
-        planner=planner_label(planner),
-        baseline=planner_label(baseline) if baseline else None,
-        points=tuple(_points(trials, top)) if baseline else (),
-        top=top,
-        ticks=_ticks(top),
-        packed=base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii"),
-        templates=tuple(templates),
-        size_classes=tuple(classes),
-        robots=tuple(sorted({int(trial["robots"]) for trial in trials})),
-        planners=tuple(planner_label(name) for name in planners),
-        compared=(planner, *([baseline] if baseline else [])),
-    )
+    teams = tuple(sorted({int(trial["robots"]) for trial in trials}))
+    return TrialBrowser(content, compared, teams, _points(trials, top) if len(compared) > 1 else (), _ticks(top))
 
 
 def place(cost_cells: float, top: float, upright: bool) -> float:
@@ -161,15 +144,20 @@ def place(cost_cells: float, top: float, upright: bool) -> float:
     return round(PLOT_SIZE - PLOT_BOTTOM - share * span if upright else PLOT_LEFT + share * span, 1)
 
 
-def _points(trials: Sequence[Mapping[str, Any]], top: float) -> list[Point]:
+def _points(trials: Sequence[Mapping[str, Any]], top: float) -> tuple[Point, ...]:
     """One point for each trial that the planner and the baseline finished: across the baseline's cost, up its own."""
-    points = []
-    for index, trial in enumerate(trials):
-        own, other = trial["cost"][:2]
-        if own is not None and other is not None:
-            text = f"{trial['id']}: {own:.0f} against {other:.0f} cells"
-            points.append(Point(index, place(other, top, False), place(own, top, True), trial["robots"], text))
-    return points
+    costs = [(index, trial, *trial["cost"][:2]) for index, trial in enumerate(trials)]
+    return tuple(
+        Point(
+            index,
+            place(other, top, False),
+            place(own, top, True),
+            trial["robots"],
+            f"{trial['id']}: {own:.0f} against {other:.0f} cells",
+        )
+        for index, trial, own, other in costs
+        if own is not None and other is not None
+    )
 
 
 def _ticks(top: float) -> tuple[float, ...]:
@@ -189,25 +177,22 @@ def _trial(
 ) -> dict[str, Any]:
     first = next((row for row in found if isinstance(row.get("formula"), str)), found[0])
     by_planner = {row["planner"]: row for row in found}
-    formula = first.get("formula")
     template = str(first.get("template"))
+    formula = first["formula"] if isinstance(first.get("formula"), str) else ""
     home = homes.get(str(first.get("home_id")))
-    paths: dict[str, Any] = {}
-    if home is not None:
-        sheet = Sheet.of(home)
-        for index, name in enumerate(planners[:2]):
-            trace = by_planner.get(name, {}).get("trace")
-            if isinstance(trace, str):
-                paths[str(index)] = _paths(Trace.from_json(trace), sheet)
+    traces = {index: by_planner.get(name, {}).get("trace") for index, name in enumerate(planners[:2])}
+    paths = {
+        str(index): _paths(Trace.from_json(trace), Sheet.of(home))
+        for index, trace in traces.items()
+        if home is not None and isinstance(trace, str)
+    }
     return {
         "id": str(first["trial_id"]),
         "class": classes.index(first["size_class"]),
         "robots": int(first["robots"]),
         "template": templates.index(template) if template in templates else -1,
-        "task": task_in_words(template, formula, task_objects(first.get("objects")))
-        if isinstance(formula, str)
-        else "",
-        "formula": formula if isinstance(formula, str) else "",
+        "task": task_in_words(template, formula, task_objects(first.get("objects"))) if formula else "",
+        "formula": formula,
         "cost": [_cost(by_planner.get(name)) for name in planners],
         "status": [str(by_planner[name]["status"]) if name in by_planner else "not run" for name in planners],
         "home": drawn.setdefault(home.id, len(drawn)) if home is not None and paths else -1,
@@ -221,7 +206,7 @@ def _cost(row: Mapping[Any, Any] | None) -> float | None:
 
 
 def _paths(trace: Trace, sheet: Sheet) -> list[list[int]]:
-    """By robot, all it drove as one line: x, y, x, y in centimetres of the picture."""
+    """For each robot its whole way as one line: x, y, x, y in centimetres of the picture."""
     lines = []
     for legs in trace.robots:
         points = [sheet.point(trace.start)]

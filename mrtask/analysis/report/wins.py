@@ -1,30 +1,37 @@
-"""How often a planner is sooner than another on the same trial: wins, ties, losses, and whether they are luck.
+"""How often a planner finishes sooner than another on the same trial: wins, ties, losses, and whether they are chance.
 
 The share of wins is among the trials that one of the two won, with Wilson's interval; the sign test is exact and leaves
-ties out too (both SciPy's). They ask how often, not by how much: a planner may win most trials and lose on average.
+ties out too (both are SciPy's). They measure how often, not by how much: a planner may win most trials and lose on
+average.
 """
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from scipy.stats import binomtest
 
-from mrtask.analysis.page.columns import Column, Table, make_table
-from mrtask.analysis.page.style import NOTHING, planner_label
+from mrtask.analysis.page.charts import WIDTH_IN, legend_below, panels, stacked_bars
+from mrtask.analysis.page.style import BLACK, LIGHT_GREY, NOTHING, ORANGE, house_style, planner_label, planner_looks
+from mrtask.analysis.page.tables import Column, Table, cell_label, make_table
+from mrtask.analysis.results.roles import REFERENCES
 from mrtask.analysis.results.statistics import (
     ALL_TEAMS,
     CONFIDENCE,
     EVERYTHING,
-    REFERENCES,
     UNDEFINED,
     Cell,
     Comparison,
     Estimate,
     Summary,
-    cell_name,
 )
+
+ROW_IN = 0.27
+MIN_LABELLED_PERCENT = 9.0
+"""Narrower parts of a bar carry no number."""
 
 
 def share_sooner(pair: Comparison) -> Estimate:
-    """Of the trials that one of the two won, the share that the planner won, in percent with Wilson's interval."""
+    """The share of decided trials that the planner won, in percent with Wilson's interval."""
     return share(pair.wins, pair.wins + pair.losses)
 
 
@@ -43,7 +50,7 @@ def sign_test(pair: Comparison) -> float:
 
 
 def p_value_text(value: float) -> str:
-    """Three digits."""
+    """The p value with three digits."""
     return NOTHING if not np.isfinite(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
@@ -71,13 +78,40 @@ def compared_cells(summary: Summary, planner: str, reference: str) -> list[tuple
 
 
 def pair_table(summary: Summary, planner: str | None) -> Table | None:
-    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, tests; None where there is none."""
+    """``planner`` against every reference, cell by cell: pairs, wins, ties, losses, tests; None without a pair."""
     rows: list[str | tuple[str, Comparison]] = []
     for reference in REFERENCES:
-        lines = [
-            ("all" if cell == EVERYTHING else cell_name(cell), pair)
-            for cell, pair in (compared_cells(summary, planner, reference) if planner is not None else ())
-        ]
-        if lines:
-            rows += [f"against {planner_label(reference)}", *lines]
+        if planner is not None and (pairs := compared_cells(summary, planner, reference)):
+            rows += [f"against {planner_label(reference)}", *((cell_label(cell), pair) for cell, pair in pairs)]
     return make_table(PAIR_COLUMNS, rows) if rows else None
+
+
+@house_style()
+def draw_wins(summary: Summary, planner: str) -> Figure | None:
+    """The shares of trials that ``planner`` won, tied and lost, a panel per other planner, a bar per cell."""
+    found = {name: dict(compared_cells(summary, planner, name)) for name in REFERENCES}
+    shown = {name: pairs for name, pairs in found.items() if any(pair.improvement.n for pair in pairs.values())}
+    if not shown:
+        return None
+    present = dict.fromkeys(cell for pairs in shown.values() for cell in pairs)
+    cells = [cell for cell in present if cell == EVERYTHING or cell[1] != ALL_TEAMS]
+    label = planner_label(planner)
+    colors = {f"{label} sooner": planner_looks([planner])[planner][0], "equal": LIGHT_GREY, f"{label} later": ORANGE}
+    figure, (line,) = panels(WIDTH_IN, ROW_IN * len(cells) + 1.2, columns=len(shown), sharey=True)
+    for axes, (reference, pairs) in zip(line, shown.items(), strict=True):
+        bars = {place: pairs[cell] for place, cell in enumerate(cells) if cell in pairs and pairs[cell].improvement.n}
+        shares = np.array([[pair.wins, pair.ties, pair.losses] for pair in bars.values()]).T
+        percent = 100 * shares / shares.sum(axis=0)
+        parts = stacked_bars(axes, list(bars), percent, list(colors.values()), height=0.78)
+        for part, ink in zip(parts, ("white", BLACK, BLACK), strict=True):
+            axes.bar_label(part, fmt=_written, label_type="center", color=ink, fontsize=7)
+        axes.set(title=f"against {planner_label(reference)}", xlabel="trials (%)", xlim=(0, 100))
+        axes.grid(visible=False)
+    line[0].set_yticks(range(len(cells)), list(map(cell_label, cells)))
+    line[0].set_ylim(len(cells) - 0.4, -0.6)
+    legend_below(figure, [Patch(color=color, label=name) for name, color in colors.items()])
+    return figure
+
+
+def _written(percent: float) -> str:
+    return f"{percent:.0f}" if percent >= MIN_LABELLED_PERCENT else ""

@@ -1,4 +1,4 @@
-"""The table of episodes as the analysis uses it: checked, typed, and split by variant where a sweep made several.
+"""The table of episodes for the analysis: checked, typed, and split by variant where a sweep made several.
 
 One row is one planner's run of one trial; planners are compared on the trials (``trial_id``) they share.
 """
@@ -16,10 +16,10 @@ STATUSES = ("accepted", "failed", "error", "timeout")
 """``failed``: the task could not be done; ``error``: an exception; ``timeout``: the episode took too long."""
 
 OVERRIDES_IN_COLUMNS = ("evaluation.robots", "evaluation.size_classes", "evaluation.planners")
-"""Sweeping over these makes no variants: each row has its team size, size class and planner in columns."""
+"""Sweeps over these make no variants, since each row has its team size, size class and planner in columns."""
 
 Variant = str
-"""What a sweep changed, as text (``planner.pouct.samples=100``); empty where there was no sweep."""
+"""The overrides of a sweep's cell (``planner.pouct.samples=100``); empty without a sweep."""
 
 
 def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""How far planners are from optimal, in figures: the rows of `mrtask.bounds.assess`, cell by cell."""
+"""How far planners are from optimal: the rows of `mrtask.bounds.assess`, summarised cell by cell."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,10 @@ from mrtask.analysis.results.statistics import (
     MIN_TRIALS_FOR_INTERVAL,
     RESAMPLES,
     SEED,
-    Bootstrap,
+    UNDEFINED,
     Cell,
     Estimate,
+    PairedCosts,
 )
 from mrtask.arrays import Floats
 from mrtask.bounds.lower_bound import BoundKind
@@ -30,7 +31,7 @@ class CellOptimality:
     bound_s: Estimate
     clairvoyant_s: Estimate
     gap_percent: Estimate
-    """By how much the mean cost is above the mean bound: the planner is within so much of optimal."""
+    """By how much the mean cost exceeds the mean bound: the planner is at most this far from optimal."""
     median_gap_percent: Estimate
     """The median over trials of the same."""
     exact_share: float
@@ -38,57 +39,41 @@ class CellOptimality:
     bound_seconds: float
     """Mean CPU time to compute a trial's bound."""
     failed: int
-    """Episodes that were not finished; they count neither for the cost nor for the bound."""
+    """Unfinished episodes, which enter neither the cost nor the bound."""
 
 
 def summarise_optimality(rows: pd.DataFrame) -> list[CellOptimality]:
     """All cells of the rows that `assess` made, by size class and team size."""
-    summary = []
-    for size_class in size_classes_in_order(rows["size_class"].unique()):
-        for robots in sorted(map(int, rows["robots"].unique())):
-            own = rows[(rows["size_class"] == size_class) & (rows["robots"] == robots)]
-            for planner, trials in own.groupby("planner", sort=True):
-                summary.append(_summarise_cell((size_class, robots), str(planner), trials))
-    return summary
+    classes = size_classes_in_order(rows["size_class"].unique())
+    groups = rows.groupby(["size_class", "robots", "planner"])
+    found = [_summarise_cell((str(key[0]), int(str(key[1]))), str(key[2]), trials) for key, trials in groups]
+    return sorted(found, key=lambda one: (classes.index(one.cell[0]), one.cell[1], one.planner))
 
 
 def _summarise_cell(cell: Cell, planner: str, rows: pd.DataFrame) -> CellOptimality:
-    finished = rows[rows["cost_s"].notna()]
-    values = finished[["cost_s", "bound_s", "clairvoyant_s"]].to_numpy(dtype=np.float64)
-    draws = Bootstrap(values)
+    costs = PairedCosts(rows.loc[rows["cost_s"].notna(), ["cost_s", "bound_s", "clairvoyant_s"]])
     return CellOptimality(
         cell=cell,
         planner=planner,
-        cost_s=draws.estimate(lambda means: means[..., 0], [0]),
-        bound_s=draws.estimate(lambda means: means[..., 0], [1]),
-        clairvoyant_s=draws.estimate(lambda means: means[..., 0], [2]),
-        gap_percent=draws.estimate(_above_percent, [0, 1]),
-        median_gap_percent=_median(_above_percent(values[:, :2])),
+        cost_s=costs.mean("cost_s"),
+        bound_s=costs.mean("bound_s"),
+        clairvoyant_s=costs.mean("clairvoyant_s"),
+        gap_percent=costs.above("cost_s", "bound_s"),
+        median_gap_percent=_median(100 * (costs.costs["cost_s"] / costs.costs["bound_s"] - 1).to_numpy()),
         exact_share=float((rows["kind"] == BoundKind.EXACT.value).mean()),
         bound_seconds=float(rows["bound_seconds"].mean()),
         failed=int(rows["failed"].sum()),
     )
 
 
-def _above_percent(means: Floats) -> Floats:
-    """By how much a cost is above a bound, from [..., 2]."""
-    return np.asarray(100 * (means[..., 0] / means[..., 1] - 1))
-
-
 def _median(values: Floats) -> Estimate:
     """The median of [N] trials with its percentile interval."""
     n = len(values)
     if n == 0:
-        return Estimate(np.nan, np.nan, np.nan, 0)
+        return UNDEFINED
     middle = float(np.median(values))
     if n < MIN_TRIALS_FOR_INTERVAL:
         return Estimate(middle, np.nan, np.nan, n)
-    drawn = stats.bootstrap(
-        (values,),
-        np.median,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(SEED),
-    )
-    return Estimate(middle, float(drawn.confidence_interval.low), float(drawn.confidence_interval.high), n)
+    options = {"n_resamples": RESAMPLES, "confidence_level": CONFIDENCE, "method": "percentile"}
+    interval = stats.bootstrap((values,), np.median, rng=np.random.default_rng(SEED), **options).confidence_interval
+    return Estimate(middle, float(interval.low), float(interval.high), n)

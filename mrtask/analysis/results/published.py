@@ -1,4 +1,4 @@
-"""The published results (``published.toml``) that ours are compared with.
+"""The published results (``published.toml``) with which ours are compared.
 
 Source: Khanal, Paudel, Pham, Stein, *Multi-Robot Learning-Informed Task Planning Under Uncertainty*, ICRA 2026
 (arXiv 2603.20544): the table of mean costs in simulation and the two-robot trials in real apartments.
@@ -71,7 +71,7 @@ class Published:
 
 @cache
 def load_published() -> Published:
-    """Reads the packaged table."""
+    """Read the packaged table."""
     raw = tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
     source = raw["source"]
 

@@ -1,4 +1,4 @@
-"""What the episodes say, with its uncertainty: mean costs, paired improvements, the share of a gap that is closed.
+"""Statistics of the episodes with their uncertainty: mean costs, paired improvements, the share of a gap closed.
 
 Planners ran the same trials, so everything is resampled trial by trial, all planners together (paired bootstrap; Efron
 and Tibshirani, *An Introduction to the Bootstrap*, ch. 14: bias-corrected and accelerated intervals). Every statistic
@@ -6,7 +6,7 @@ here is a function of the planners' mean costs; this makes the resampling a matr
 jackknife a closed form, so that 100,000 episodes take seconds.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,39 +16,32 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from mrtask.analysis.results.episodes import STATUSES, size_classes_in_order
+from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES
 from mrtask.arrays import Floats
 from mrtask.names import counted
-from mrtask.planning.planners import Role, planner_role, planners_in_order, planners_with_role
+from mrtask.planning.planners import planners_in_order
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 SEED = 20603
-"""Of the resampling. Every estimate starts from it, so that none depends on which others are computed."""
+"""Seed of the resampling. Every estimate starts from it, so none depends on which others are computed."""
 MIN_TRIALS_FOR_INTERVAL = 10
-"""Fewer trials than this say too little about their spread: the interval would be far too narrow."""
+"""Fewer trials say too little about their spread: the interval would be far too narrow."""
 MAX_BATCH_CELLS = 4_000_000
 MAX_EXACT_TRIALS = 13
-"""Up to this many trials the test goes through all signs of the differences; beyond that it is SciPy's."""
+"""Up to this many trials the test enumerates the signs of all differences; beyond that it is SciPy's."""
 SAME_COST_S = 1e-6
 SAME_VALUE = 1e-10
 """Relative and absolute tolerance: resamples of the same trials in another order differ by rounding."""
 
-BASELINES = planners_with_role(Role.BASELINE)
-"""What a planner's improvement is measured against."""
-REFERENCES = (*BASELINES, *planners_with_role(Role.REFERENCE))
-"""All planners that others are compared with."""
-INFORMED_BASELINE, KNOWN = "learned_myopic", "known"
-"""Between these two lies the gap of `Summary.gaps`."""
-RULE = "greedy"
-"""The strongest planner without search: what search is worth is its improvement over this one."""
+IN_CELLS = "in grid cells: "
+"""Before a planner's name: its costs in grid cells, beside those in seconds."""
 
 Cell = tuple[str, int]
 """``(size class, robots)``"""
 ALL_CLASSES, ALL_TEAMS = "all", 0
-"""Stand for a size class and a team size in what is pooled over them."""
+"""Stand in for a size class and a team size where results are pooled over them."""
 EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
-FALLBACK_ROLES = (Role.REFERENCE, Role.BASELINE, Role.BOUND)
-"""What a comparison is about where none of our planners ran."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +81,7 @@ class Comparison:
     ties: int
     losses: int
     p_value: float
-    """Of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
+    """From Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
     only_planner: int
     only_baseline: int
     """Trials that one of the two finished and the other did not: outside the comparison."""
@@ -112,13 +105,13 @@ class PlannerCell:
 
     @property
     def accepted(self) -> int:
-        """Rows that the means are over."""
+        """The rows that enter the means."""
         return self.counts["accepted"]
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Everything the tables and figures need of one variant. Cells of robots `ALL_TEAMS` are pooled over team sizes."""
+    """All that tables and figures show of one variant. Cells with `ALL_TEAMS` robots are pooled over team sizes."""
 
     planners: tuple[str, ...]
     size_classes: tuple[str, ...]
@@ -150,7 +143,7 @@ class Summary:
         return found.improvement if found else UNDEFINED
 
     def gap(self, cell: Cell, planner: str) -> Estimate:
-        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is none."""
+        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is no gap."""
         return self.gaps.get((cell, planner), UNDEFINED)
 
 
@@ -214,19 +207,37 @@ class Bootstrap:
         return Estimate(value, float(low), float(high), n)
 
 
-class PairedDraws:
-    """Estimates from ``costs`` [N, P], NaN where a trial was not finished, each over the trials that count for it."""
+class PairedCosts:
+    """Costs of trials (rows) by planner (columns), NaN where a trial was not finished.
 
-    def __init__(self, costs: Floats) -> None:
-        self.costs = costs
+    Each estimate is over the trials that all of its planners finished.
+    """
+
+    def __init__(self, costs: pd.DataFrame, seed: int = SEED) -> None:
+        self.costs, self.seed = costs, seed
         self._draws: dict[bytes, Bootstrap] = {}
 
-    def estimate(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Estimate:
-        """On the trials that all of ``columns`` finished; one draw of trials serves all statistics that share them."""
-        finished = np.isfinite(self.costs[:, list(columns)]).all(axis=1)
+    def estimate(self, statistic: Callable[[Floats], Floats], planners: Sequence[object]) -> Estimate:
+        """A statistic of these planners' means; one draw of trials serves all statistics that share them."""
+        columns: list[object] = list(self.costs.columns)
+        places = [columns.index(name) for name in planners]
+        costs = self.costs.to_numpy(dtype=np.float64)
+        finished = np.isfinite(costs[:, places]).all(axis=1)
         if (key := finished.tobytes()) not in self._draws:
-            self._draws[key] = Bootstrap(np.nan_to_num(self.costs[finished]))
-        return self._draws[key].estimate(statistic, columns)
+            self._draws[key] = Bootstrap(np.nan_to_num(costs[finished]), seed=self.seed)
+        return self._draws[key].estimate(statistic, places)
+
+    def mean(self, planner: object) -> Estimate:
+        """The mean cost."""
+        return self.estimate(lambda means: means[..., 0], [planner])
+
+    def improvement(self, planner: object, baseline: object) -> Estimate:
+        """What ``planner`` saves of the baseline's mean cost, in percent."""
+        return self.estimate(improvement_of_means, [planner, baseline])
+
+    def above(self, planner: object, reference: object) -> Estimate:
+        """By how much a mean cost is above the reference's, in percent."""
+        return self.estimate(lambda means: np.asarray(100 * (means[..., 0] / means[..., 1] - 1)), [planner, reference])
 
 
 def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
@@ -300,15 +311,23 @@ def _exact_wilcoxon(saved: Floats) -> float:
 
 def summarise(episodes: pd.DataFrame) -> Summary:
     """All statistics of one variant's checked episodes: by cell, by size class over all teams, and over everything."""
-    planners = planners_in_order(episodes["planner"].unique())
-    classes = tuple(size_classes_in_order(episodes["size_class"].unique()))
-    summary = Summary(planners, classes, tuple(sorted(map(int, episodes["robots"].unique()))), {}, {}, {})
-    for size_class in summary.size_classes:
+    classes = size_classes_in_order(episodes["size_class"].unique())
+    teams = sorted(map(int, episodes["robots"].unique()))
+    parts: dict[Cell, pd.DataFrame] = {}
+    for size_class in classes:
         of_class = episodes[episodes["size_class"] == size_class]
-        for robots in summary.robots:
-            _summarise_cell(summary, (size_class, robots), of_class[of_class["robots"] == robots])
-        _summarise_cell(summary, (size_class, ALL_TEAMS), of_class)
-    _summarise_cell(summary, EVERYTHING, episodes)
+        parts |= {(size_class, robots): of_class[of_class["robots"] == robots] for robots in teams}
+        parts[size_class, ALL_TEAMS] = of_class
+    return summarise_parts(episodes, classes, teams, parts | {EVERYTHING: episodes})
+
+
+def summarise_parts(
+    episodes: pd.DataFrame, classes: Sequence[str], teams: Sequence[int], parts: Mapping[Cell, pd.DataFrame]
+) -> Summary:
+    """The statistics of each of ``parts`` of the episodes by itself."""
+    summary = Summary(planners_in_order(episodes["planner"].unique()), tuple(classes), tuple(teams), {}, {}, {})
+    for cell, rows in parts.items():
+        _summarise_cell(summary, cell, rows)
     return summary
 
 
@@ -317,46 +336,31 @@ def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame
     return episodes.pivot(index="trial_id", columns="planner", values=column)
 
 
-def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
-    seconds, cells = paired_costs(rows), paired_costs(rows, "cost_cells")
-    planners = [name for name in summary.planners if name in seconds.columns]
-    costs = seconds[planners].to_numpy()
-    estimate = PairedDraws(np.column_stack([costs, cells[planners].to_numpy()])).estimate
-    counts = rows.groupby(["planner", "status"]).size().to_dict()
-    mean_s, decision_s = seconds.mean().to_dict(), _decision_s(rows)
-    for index, name in enumerate(planners):
-        summary.planner_cells[cell, name] = PlannerCell(
-            counts={status: counts.get((name, status), 0) for status in STATUSES},
-            cost_cells=estimate(lambda means: means[..., 0], [len(planners) + index]),
-            cost_s=mean_s[name],
-            decision_s=decision_s.get(name, float("nan")),
-        )
-        for baseline in REFERENCES:
-            if baseline in planners and baseline != name:
-                other = planners.index(baseline)
-                improvement = estimate(improvement_of_means, [index, other])
-                summary.comparisons[cell, name, baseline] = compare(costs[:, index], costs[:, other], improvement)
-        if {INFORMED_BASELINE, KNOWN} <= set(planners) and name not in (INFORMED_BASELINE, KNOWN):
-            columns = [index, planners.index(INFORMED_BASELINE), planners.index(KNOWN)]
-            summary.gaps[cell, name] = estimate(_gap_closed, columns)
-
-
-def _decision_s(rows: pd.DataFrame) -> dict[str, float]:
-    """Seconds of planning by decision of each planner for which they were recorded."""
+def decision_s(rows: pd.DataFrame) -> dict[str, float]:
+    """Planner -> its mean planning time per decision, of those for which it was recorded."""
     if not {"planning_s", "decisions"} <= set(rows.columns):
         return {}
     known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()
     return {str(name): float(value) for name, value in (known["planning_s"] / known["decisions"]).items()}
 
 
-def main_planner(planners: Sequence[str], wanted: str | None = None) -> str | None:
-    """The planner that the report is about: ``wanted``, else one of ours, or the best of the rest.
-
-    Of ours, the first in the order of planners; of the references and the baselines, the last, which is the strongest.
-    """
-    if wanted in planners:
-        return wanted
-    ordered = planners_in_order(planners)
-    ours = [name for name in ordered if planner_role(name) is Role.OURS]
-    rest = [name for role in FALLBACK_ROLES for name in reversed(ordered) if planner_role(name) is role]
-    return next(iter([*ours, *rest]), None)
+def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
+    seconds = paired_costs(rows)
+    planners = [name for name in summary.planners if name in seconds.columns]
+    # Costs in grid cells stand beside those in seconds, so that one draw of trials serves both.
+    costs = PairedCosts(pd.concat([seconds, paired_costs(rows, "cost_cells").add_prefix(IN_CELLS)], axis=1))
+    counts = rows.groupby(["planner", "status"]).size().to_dict()
+    mean_s, each_decision_s = seconds.mean().to_dict(), decision_s(rows)
+    for name in planners:
+        summary.planner_cells[cell, name] = PlannerCell(
+            counts={status: counts.get((name, status), 0) for status in STATUSES},
+            cost_cells=costs.mean(IN_CELLS + name),
+            cost_s=mean_s[name],
+            decision_s=each_decision_s.get(name, float("nan")),
+        )
+        for other in REFERENCES:
+            if other in planners and other != name:
+                pair = (seconds[name].to_numpy(), seconds[other].to_numpy())
+                summary.comparisons[cell, name, other] = compare(*pair, costs.improvement(name, other))
+        if {INFORMED_BASELINE, KNOWN} <= set(planners) - {name}:
+            summary.gaps[cell, name] = costs.estimate(_gap_closed, [name, INFORMED_BASELINE, KNOWN])

@@ -1,7 +1,7 @@
-"""Whether what a team believed at the beginning of its tasks was so: log loss, Brier score and calibration.
+"""How true a team's beliefs at the beginning of its tasks were: log loss, Brier score and calibration.
 
-Judged is what a planner acts on: the probability that a container holds an object of the task, given that the object is
-somewhere in the home, as every task's object is. The unit is one pair of container and object.
+A planner acts on the probability that a container holds an object of the task, on condition that the object is in the
+home, as every task's object is; this is what is judged. The unit is one pair of container and object.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.metrics import evaluate, reliability
 
 LOSSES = ("log_loss", "brier")
-"""Of each pair, so that their means have intervals; the calibration error is of all pairs together."""
+"""These losses are per pair, so that their means have intervals; the calibration error is over all pairs together."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Task:
 
 
 Believe = Callable[[Task, int, Sequence[Sighting]], NDArray[np.float64]]
-"""What a team believes of a task's objects, ``[C, O]``, from the task, its number and what earlier ones showed."""
+"""A team's belief about a task's objects, ``[C, O]``, from the task, its number and what earlier tasks showed."""
 
 
 def beliefs_of(home: Home, tasks: Sequence[Task], believe: Believe) -> pd.DataFrame:
     """``trial_id, task, pair, prob, held, seen`` of each pair of container and object, at the beginning of each task.
 
-    ``seen``: whether an earlier task showed if the container holds the object, so that it need only be remembered.
+    ``seen``: whether an earlier task showed if the container holds the object, so that the team need only remember.
     """
     seen: list[Sighting] = []
     parts = []
@@ -71,7 +71,7 @@ class Calibration:
 
 
 def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibration:
-    """Of ``beliefs`` as of `beliefs_of`; ``home_of``: trial -> the home that is resampled as a whole."""
+    """The calibration of `beliefs_of`'s beliefs; ``home_of``: trial -> the home that is resampled as a whole."""
     counts = pd.DataFrame({"positives": beliefs["held"].astype(float), "count": 1.0})
     probs = beliefs["prob"].to_numpy()
     losses = {name: mean_loss(beliefs, name, home_of) for name in LOSSES}

@@ -1,4 +1,4 @@
-"""What a prior is worth in a mission, from the episodes of several priors on the same trials.
+"""The value of a prior in a mission, from the episodes of several priors on the same trials.
 
 An *arm* is a prior on homes with some contents, and whether the belief learns from task to task in a home. Arms of the
 same contents ran the same trials. Tasks of one home depend on each other, so intervals come from resampling homes.
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from mrtask.analysis.results.episodes import checked_episodes, size_classes_in_order
+from mrtask.analysis.results.roles import main_planner
 from mrtask.analysis.results.statistics import (
     EVERYTHING,
     UNDEFINED,
@@ -18,7 +19,6 @@ from mrtask.analysis.results.statistics import (
     Cell,
     Estimate,
     improvement_of_means,
-    main_planner,
 )
 from mrtask.analysis.studies.calibration import Calibration, calibration, change, mean_loss
 from mrtask.arrays import Floats
@@ -94,7 +94,7 @@ class PriorStudy:
         return next((arm for arm in self.arms if (arm.contents, arm.prior, arm.adapts) == wanted), None)
 
     def best(self, contents: str) -> ArmRows | None:
-        """What others are compared with: the true prior, or else that learned from homes with the same contents."""
+        """The arm to compare with: the true prior, or else the one learned from homes with the same contents."""
         return self.find(contents, TRUTH) or self.find(contents, contents)
 
     def pairs(self, contents: str) -> Iterator[tuple[ArmRows, ArmRows]]:
@@ -118,8 +118,7 @@ class PriorStudy:
 
     def above(self, costs: pd.Series, reference: pd.Series, trials: "pd.Series | None" = None) -> Estimate:
         """By how much the costs are above the reference's, in percent."""
-        saved = self.saved(costs, reference, trials)
-        return Estimate(-saved.value, -saved.high, -saved.low, saved.n)
+        return negative(self.saved(costs, reference, trials))
 
     def won_back(self, arm: ArmRows, without: ArmRows, cell: Cell) -> Estimate:
         """The share in percent of what a prior costs against the best one that adapting wins back."""
@@ -140,7 +139,7 @@ class PriorStudy:
         return pd.Series([int(_parts(trial)[2]) % self.tasks in numbers for trial in trials], index=trials, dtype=bool)
 
     def new_objects(self, arm: ArmRows) -> pd.Series:
-        """Trials, after the first in their home, of whose objects none was asked for there before."""
+        """Trials, after the first in their home, about objects none of which was asked for there before."""
         rows = arm.episodes.drop_duplicates("trial_id").set_index("trial_id")["objects"]
         found = {}
         asked: dict[str, set[str]] = {}
@@ -171,6 +170,11 @@ class PriorStudy:
     def _by_home(self, costs: pd.DataFrame, statistic: Callable[[Floats], Floats]) -> Estimate:
         sums = costs.groupby([self.home_of[trial] for trial in costs.index]).sum().to_numpy(dtype=np.float64)
         return Bootstrap(sums).estimate(statistic)
+
+
+def negative(estimate: Estimate) -> Estimate:
+    """The estimate with its sign changed."""
+    return Estimate(-estimate.value, -estimate.high, -estimate.low, estimate.n)
 
 
 def _parts(trial: str) -> tuple[str, str, str]:

@@ -20,7 +20,7 @@ HALVINGS = 20
 ROOM_TYPES = ("Kitchen", "LivingRoom", "Bedroom", "Bathroom")
 
 Values = Sequence[Any]
-"""Numbers or kinds, several per home where the statistic is one of rooms or containers."""
+"""Numbers or kinds; several per home where the statistic describes rooms or containers."""
 
 
 @dataclass(frozen=True)

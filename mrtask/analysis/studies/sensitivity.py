@@ -1,40 +1,26 @@
-"""The page of a sensitivity study: what the planner saves against one factor of the experiment at a time."""
+"""The page of a sensitivity study: what the planner saves, against one factor of the experiment at a time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from mrtask.analysis.page.columns import Entry, Row, Table, interval_text
-from mrtask.analysis.page.entries import percent_entry
-from mrtask.analysis.page.findings import Findings
-from mrtask.analysis.page.style import (
-    BLACK,
-    NOTHING,
-    data_uri,
-    house_style,
-    new_figure,
-    planner_label,
-    planner_looks,
-    svg_bytes,
-)
-from mrtask.analysis.page.templating import render_fragment, script_digest
+from mrtask.analysis.page.charts import WIDTH_IN, legend_below, panels, planner_handles, ticks_as, with_band
+from mrtask.analysis.page.exhibits import Picture
+from mrtask.analysis.page.rendering import Findings, render_page, study_section
+from mrtask.analysis.page.style import BLACK, house_style, planner_label, planner_looks
+from mrtask.analysis.page.tables import Row, Table, block, estimate_entry, saved_entry
 from mrtask.analysis.results.episodes import checked_episodes, size_classes_in_order
-from mrtask.analysis.results.statistics import BASELINES, Bootstrap, Estimate, improvement_of_means, paired_costs
-from mrtask.planning.planners import Role, planners_with_role
+from mrtask.analysis.results.roles import BASELINES, OUR_PLANNER
+from mrtask.analysis.results.statistics import Estimate, PairedCosts, paired_costs
 
-OUR_PLANNER = planners_with_role(Role.OURS)[0]
 COMPARED = (*BASELINES, OUR_PLANNER)
 """The planners that every point has."""
 LOG_FROM_RATIO = 100
-"""Values that span as much are drawn on a logarithmic axis."""
-FIGURE_IN = (10.5, 3.4)
+"""Values that span at least this ratio are drawn on a logarithmic axis."""
+HEIGHT_IN = 3.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +46,15 @@ class Point:
 
     def improvement(self, baseline: str, size_class: str | None = None) -> Estimate:
         """What our planner saves of the baseline's mean cost, in percent; in all size classes, or in one."""
-        columns = [COMPARED.index(OUR_PLANNER), COMPARED.index(baseline)]
-        return self._costs(size_class).estimate(improvement_of_means, columns)
+        return self._costs(size_class).improvement(OUR_PLANNER, baseline)
 
     def cost(self, planner: str) -> Estimate:
         """The planner's mean cost in grid cells."""
-        return self._costs(None).estimate(lambda means: means[..., 0], [COMPARED.index(planner)])
+        return self._costs(None).mean(planner)
 
-    def _costs(self, size_class: str | None) -> Bootstrap:
+    def _costs(self, size_class: str | None) -> PairedCosts:
         rows = self._rows if size_class is None else self._rows[self._rows["size_class"] == size_class]
-        return Bootstrap(paired_costs(rows, "cost_cells").reindex(columns=list(COMPARED)).dropna().to_numpy())
+        return PairedCosts(paired_costs(rows, "cost_cells").reindex(columns=list(COMPARED)).dropna())
 
 
 @dataclass(frozen=True)
@@ -88,32 +73,20 @@ def render_sensitivity(curves: Sequence[Curve], experiment: str) -> str:
     Raises:
         ValueError: the episodes are not what `checked_episodes` demands.
     """
-    sections = [
-        {
-            "anchor": f"factor-{number}",
-            "link": curve.name,
-            "title": curve.name[0].upper() + curve.name[1:],
-            "body": render_fragment(
-                "sensitivity",
-                curve=curve,
-                uri=data_uri(svg_bytes(draw_curve(curve))),
-                table=curve_table(curve),
-                planner=OUR_PLANNER,
-            ),
-        }
-        for number, curve in enumerate(curves)
-    ]
-    return render_fragment(
-        "page",
-        title=f"mrtask: sensitivity of {experiment}",
-        script="",
-        script_digest=script_digest(""),
-        question=f"How far does what {planner_label(OUR_PLANNER)} saves depend on what the experiment assumes?",
-        findings=findings(curves),
-        warnings=[],
-        variants=1,
-        shown="",
-        sections=sections,
+    sections = []
+    for number, curve in enumerate(curves):
+        caption = (
+            f"{curve.key} takes these values; all else is as configured. Every point is over the trials that all three "
+            "planners finished, all size classes and team sizes together; bands are 95 % paired bootstrap intervals."
+        )
+        picture = Picture(f"factor-{number}", curve.name, caption, draw_curve(curve))
+        title = curve.name[0].upper() + curve.name[1:]
+        sections.append(study_section(picture.name, title, [curve_table(curve)], curve.name, pictures=[picture]))
+    return render_page(
+        f"mrtask: sensitivity of {experiment}",
+        f"How far does what {planner_label(OUR_PLANNER)} saves depend on what the experiment assumes?",
+        findings(curves),
+        sections,
         episodes=sum(len(point.episodes) for curve in curves for point in curve.points),
     )
 
@@ -141,69 +114,46 @@ def findings(curves: Sequence[Curve]) -> Findings:
         f"{planner_label(OUR_PLANNER)} is clearly better (95 % interval above zero) than both baselines at {better} of "
         f"{len(points)} values of {len(curves)} factors, each changed by itself."
     )
-    return Findings(f"{better} of {len(points)}", headline, tuple(sentences), ())
+    return Findings(f"{better} of {len(points)}", headline, tuple(sentences))
 
 
 def curve_table(curve: Curve) -> Table:
     """What is saved over each baseline at each value, in all and by size class, and the mean costs behind it."""
+    classes = size_classes_in_order(name for point in curve.points for name in point.size_classes)
+    parts: list[tuple[str, str | None]] = [("all", None), *((name, name) for name in classes if len(classes) > 1)]
     rows: list[Row] = []
     for baseline in BASELINES:
-        rows.append(Row(f"Improvement over {planner_label(baseline)}", heading=True))
-        rows.append(Row("all", tuple(_saved(point.improvement(baseline)) for point in curve.points)))
-        classes = dict.fromkeys(name for point in curve.points for name in point.size_classes)
-        if len(classes) > 1:
-            for name in size_classes_in_order(classes):
-                rows.append(Row(name, tuple(_saved(point.improvement(baseline, name)) for point in curve.points)))
-    rows.append(Row("Mean cost in grid cells", heading=True))
-    for planner in COMPARED:
-        costs = (point.cost(planner) for point in curve.points)
-        rows.append(Row(planner_label(planner), tuple(_cost(cost) for cost in costs)))
+        lines = (
+            (label, [saved_entry(point.improvement(baseline, part)) for point in curve.points]) for label, part in parts
+        )
+        rows += block(f"Improvement over {planner_label(baseline)}", lines)
+    costs = (
+        (planner_label(name), [estimate_entry(point.cost(name), 0, "") for point in curve.points]) for name in COMPARED
+    )
+    rows += block("Mean cost in grid cells", costs)
     return Table(tuple(("", f"{point.value:g}") for point in curve.points), tuple(rows))
 
 
+@house_style()
 def draw_curve(curve: Curve) -> Figure:
     """The improvement over each baseline, and the mean costs, against the factor; bands are 95 % intervals."""
     values = [point.value for point in curve.points]
     looks = planner_looks(COMPARED)
-    with house_style():
-        figure = new_figure(*FIGURE_IN)
-        gains, costs = figure.subplots(1, 2)
-        for baseline in BASELINES:
-            _band(gains, values, [point.improvement(baseline) for point in curve.points], looks[baseline])
-        for planner in COMPARED:
-            _band(costs, values, [point.cost(planner) for point in curve.points], looks[planner])
-        gains.axhline(0, color=BLACK, linewidth=0.8)
-        gains.set(title=f"saved by {planner_label(OUR_PLANNER)} (%) over")
-        costs.set(title="mean cost (grid cells)")
-        costs.set_ylim(bottom=0)
-        for axes in (gains, costs):
-            axes.set_xlabel(curve.name)
-            if min(values) > 0 and max(values) >= LOG_FROM_RATIO * min(values):
-                axes.set_xscale("log")
-            axes.xaxis.set_major_locator(FixedLocator(values))
-            axes.xaxis.set_minor_locator(NullLocator())
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        handles = [
-            Line2D([], [], color=looks[name][0], marker=looks[name][1], label=planner_label(name)) for name in COMPARED
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    figure, ((gains, costs),) = panels(WIDTH_IN, HEIGHT_IN, columns=2)
+    for baseline in BASELINES:
+        with_band(gains, values, [point.improvement(baseline) for point in curve.points], looks[baseline])
+    for planner in COMPARED:
+        with_band(costs, values, [point.cost(planner) for point in curve.points], looks[planner])
+    gains.axhline(0, color=BLACK, linewidth=0.8)
+    gains.set(title=f"saved by {planner_label(OUR_PLANNER)} (%) over", xlabel=curve.name)
+    costs.set(title="mean cost (grid cells)", xlabel=curve.name)
+    costs.set_ylim(bottom=0)
+    log = min(values) > 0 and max(values) >= LOG_FROM_RATIO * min(values)
+    for axes in (gains, costs):
+        ticks_as(axes.xaxis, "{:g}".format, values, log)
+    legend_below(figure, planner_handles(COMPARED))
     return figure
 
 
-def _band(axes: Axes, values: Sequence[float], estimates: Sequence[Estimate], look: tuple[str, str]) -> None:
-    lows, highs = ([getattr(each, end) for each in estimates] for end in ("low", "high"))
-    axes.plot(values, [each.value for each in estimates], color=look[0], marker=look[1], markersize=5, linewidth=1.6)
-    axes.fill_between(values, lows, highs, color=look[0], alpha=0.15, linewidth=0)
-
-
-def _saved(estimate: Estimate) -> Entry:
-    entry = percent_entry(estimate)
-    return Entry(entry.value, entry.details, "good" if estimate.low > 0 else "bad" if estimate.high < 0 else "")
-
-
-def _cost(estimate: Estimate) -> Entry:
-    return Entry(f"{estimate.value:.0f}", (interval_text(estimate),)) if estimate.defined else Entry(NOTHING)
-
-
 def _text(estimate: Estimate) -> str:
-    return f"{estimate.value:.1f} %" if np.isfinite(estimate.value) else "unknown"
+    return f"{estimate.value:.1f} %" if estimate.defined else "unknown"

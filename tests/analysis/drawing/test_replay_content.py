@@ -240,7 +240,7 @@ def test_the_page_holds_every_decision(replay):
     for run in replay.runs:
         for number in range(1, len(run.decisions) + 1):
             assert f"decision {number} of {len(run.decisions)}" in page
-    assert re.search(r"expected \d+\.\d s to go; it came to \d+\.\d s", page)
+    assert re.search(r"expected \d+\.\d s to go; it took \d+\.\d s", page)
     assert "Egg then Pillow" in page and len(page.encode()) < 1_000_000
 
 

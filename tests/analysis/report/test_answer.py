@@ -5,7 +5,8 @@ import pytest
 from mrtask.analysis.report.answer import find, mixture_warnings, partial_results
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.published import load_published
-from mrtask.analysis.results.statistics import main_planner, summarise
+from mrtask.analysis.results.roles import main_planner
+from mrtask.analysis.results.statistics import summarise
 from tests.analysis.synthetic import fail, make_episodes, rows
 
 
@@ -70,7 +71,7 @@ def test_no_episodes_and_none_finished():
     frame = rows("small", 1, {"pouct": [None, 1.0], "learned_myopic": [2.0, None]})
     _, text = findings_of(frame)
     assert "cannot be compared with the baselines: no trial was finished by both it and a baseline" in text
-    assert "learned_myopic finished 1 trial that pouct has not" in text
+    assert "learned_myopic finished 1 trial that pouct did not" in text
 
 
 def test_one_planner_only():

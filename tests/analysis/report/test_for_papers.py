@@ -3,10 +3,9 @@ import re
 import pytest
 from markdown_it import MarkdownIt
 
-from mrtask.analysis.page.columns import Entry, Row, Table
-from mrtask.analysis.page.entries import ABOVE
 from mrtask.analysis.page.exhibits import ShownTable
 from mrtask.analysis.page.style import NOTHING
+from mrtask.analysis.page.tables import ABOVE, Entry, Row, Table
 from mrtask.analysis.report.for_papers import latex_table, latex_text, markdown_table, markdown_text
 
 EVIL = (

@@ -1,4 +1,4 @@
-"""What the gap is made of: parts against sums by hand, and the ladder of planners that they are the steps between."""
+"""The parts of the gap: checked against sums by hand, and the ladder of planners whose steps they are."""
 
 import numpy as np
 import pandas as pd
@@ -33,7 +33,7 @@ LADDER = find_ladder(MANIFEST, tuple(BEHIND))
 
 
 def episodes(seed=0, trials=12):
-    """Every planner on the same trials of four cells, at any costs; one trial that one planner could not finish."""
+    """Every planner on the same trials of four cells, at random costs; one planner could not finish one trial."""
     rng = np.random.default_rng(seed)
     rows = [
         {
@@ -57,7 +57,7 @@ def episodes(seed=0, trials=12):
     return frame
 
 
-def test_the_ladder_goes_by_what_planners_are_given_and_by_their_samples():
+def test_the_ladder_follows_likelihoods_and_samples():
     assert LADDER.truth == "truth" and LADDER.model == "pouct"
     assert set(LADDER.decided) == {"learned_myopic", "few", "pouct"}
     assert LADDER.informed == ("informed",)

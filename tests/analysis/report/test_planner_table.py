@@ -3,7 +3,7 @@
 import pytest
 
 from mrtask.analysis.page.style import planner_label, planner_looks
-from mrtask.analysis.results.statistics import main_planner
+from mrtask.analysis.results.roles import main_planner
 from mrtask.planning.greedy import Greedy
 from mrtask.planning.planners import (
     PAPERS_PLANNER,

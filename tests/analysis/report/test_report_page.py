@@ -27,12 +27,13 @@ def page_path(two_room_home, tmp_path_factory):
     trace = Trace((2.0, 1.0), ((Leg("move", 0, 1, None, None, ((2, 1), (1, 1))),),), ()).to_json()
     planners = ["nonlearned_myopic", "learned_myopic", "pouct"]
     frame = make_episodes(3, planners, ["small", "large"], [1, 2]).assign(home_id=home.id, trace=trace, template=EVIL)
-    folder = tmp_path_factory.mktemp("report")
+    path = tmp_path_factory.mktemp("report") / "index.html"
     with pytest.MonkeyPatch.context() as patch:
         # Drawing takes most of a report's time and is tested elsewhere.
         patch.setattr(exhibits, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
         patch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
-        return write_report(render_report(frame, {"output_dir": "outputs/x"}, {home.id: home}), folder)
+        write_report(render_report(frame, {"output_dir": "outputs/x"}, {home.id: home}), path)
+    return path
 
 
 def test_a_point_leads_to_its_trial(browser, page_path):

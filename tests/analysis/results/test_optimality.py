@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.report.report_tables import optimality_table
+from mrtask.analysis.report.cell_tables import optimality_table
 from mrtask.analysis.results.optimality import summarise_optimality
 
 

@@ -9,6 +9,7 @@ from mrtask.analysis.results.statistics import (
     ALL_CLASSES,
     ALL_TEAMS,
     Bootstrap,
+    PairedCosts,
     compare,
     improvement_percent,
     summarise,
@@ -117,7 +118,7 @@ def test_gap_by_hand():
     assert (SMALL_ONE, "learned_myopic") not in gaps and (SMALL_ONE, "known") not in gaps
 
 
-def test_gap_that_is_none_is_undefined():
+def test_a_gap_of_zero_is_undefined():
     frame = rows("small", 1, {"learned_myopic": [4.0, 4.0], "known": [4.0, 4.0], "pouct": [3.0, 5.0]})
     assert not summarise(checked_episodes(frame)).gaps[SMALL_ONE, "pouct"].defined
 
@@ -157,6 +158,13 @@ def test_shared_draws_change_nothing():
     alone = improvement_percent(cost["pouct"].to_numpy(), cost["learned_myopic"].to_numpy())
     shared = whole.comparisons[SMALL_ONE, "pouct", "learned_myopic"].improvement
     assert (shared.value, shared.low, shared.high) == pytest.approx((alone.value, alone.low, alone.high), rel=1e-12)
+
+
+def test_each_estimate_is_over_the_trials_that_its_planners_finished():
+    costs = PairedCosts(pd.DataFrame({"a": [1.0, 2.0, NAN], "b": [2.0, NAN, 6.0], "c": [4.0, 4.0, 4.0]}))
+    assert [costs.mean(name).value for name in "abc"] == [1.5, 4.0, 4.0]
+    assert (costs.improvement("a", "b").value, costs.improvement("a", "b").n) == (50, 1)
+    assert (costs.improvement("a", "c").value, costs.above("c", "b").value) == (62.5, 0)
 
 
 def test_order_of_rows_does_not_matter():

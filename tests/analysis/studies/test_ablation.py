@@ -9,7 +9,7 @@ from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ab
 
 
 def episodes(improvements, seed=0, trials=40, cells=(("small", 1), ("small", 2))):
-    """Every planner on the same trials, each so many percent cheaper than the learned baseline."""
+    """Every planner on the same trials, each cheaper than the learned baseline by its percentage."""
     rng = np.random.default_rng(seed)
     rows = []
     for size_class, robots in cells:

@@ -117,7 +117,7 @@ def test_the_page_says_it_all(arms):
     assert 'id="tasks"' not in once and 'id="adapting"' not in once and "No arm adapts here" in once
 
 
-def test_episodes_that_are_none_are_refused(arms):
+def test_malformed_episodes_are_refused(arms):
     broken = ArmRows("housekeep", TRUTH, False, arms[0].episodes.drop(columns="status"), arms[0].beliefs)
     with pytest.raises(ValueError, match="the episodes lack the columns status"):
         render_priors([broken], TASKS, "test")

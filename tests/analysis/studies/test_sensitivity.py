@@ -16,7 +16,7 @@ from mrtask.analysis.studies.sensitivity import (
 
 
 def episodes(saved_percent, trials=24, seed=0):
-    """Our planner saves so much of what each baseline costs, give or take two per cent."""
+    """Our planner saves this share of each baseline's cost, give or take two per cent."""
     rng = np.random.default_rng(seed)
     rows = []
     for number in range(trials):

@@ -1,4 +1,4 @@
-"""The plots of a training show what they are given."""
+"""The plots of a training show their data."""
 
 import numpy as np
 import pandas as pd

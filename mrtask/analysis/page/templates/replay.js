@@ -1,5 +1,5 @@
 "use strict";
-// Moves the replay's picture to a time: all that is read stands in the page, all that moves in its data block.
+// Moves the replay's picture to a point in time. The text is in the page; the data of everything that moves is in its data block.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const root = document.documentElement;

@@ -4,10 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.page.columns import Table
-from mrtask.analysis.page.entries import ABOVE, BELOW, LEVEL
+from mrtask.analysis.page.tables import ABOVE, BELOW, LEVEL, Table
+from mrtask.analysis.report.cell_tables import paper_table, real_world_table, variant_table
 from mrtask.analysis.report.planner_table import planner_table, result_table
-from mrtask.analysis.report.report_tables import paper_table, real_world_table, variant_table
 from mrtask.analysis.report.wins import pair_table
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.published import load_published

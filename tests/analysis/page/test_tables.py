@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mrtask.analysis.page.columns import Column, Entry, make_table
+from mrtask.analysis.page.tables import Column, Entry, block, estimate_entry, make_table
 from mrtask.analysis.results.statistics import UNDEFINED, Estimate
 
 ABOVE, BELOW, AROUND = Estimate(2.0, 1.0, 3.0, 20), Estimate(-2.0, -3.0, -1.0, 20), Estimate(0.5, -1.0, 2.0, 20)
@@ -37,3 +37,15 @@ def test_table_takes_headings_and_subjects():
     table = make_table(columns, ["part", ("three", 3)])
     assert table.columns == (("all", "number"), ("", "")) and table.rows[0].heading
     assert table.rows[1].label == "three" and table.rows[1].entries == (Entry("3"), Entry("<3>"))
+
+
+def test_an_estimate_with_its_interval():
+    assert estimate_entry(ABOVE) == Entry("2.0 %", ("[1.0, 3.0]",))
+    assert estimate_entry(ABOVE, 2, "", "+", False, 2) == Entry("+2.00", ("[1.00, 3.00]",), "bad")
+    assert estimate_entry(Estimate(2.0, np.nan, np.nan, 4), higher_is_better=True) == Entry("2.0 %", ("n = 4",))
+
+
+def test_a_block_without_rows_has_no_heading():
+    assert block("part", []) == []
+    heading, row = block("part", [("one", map(Entry, "ab"))])
+    assert heading.heading and row.label == "one" and [entry.value for entry in row.entries] == ["a", "b"]
