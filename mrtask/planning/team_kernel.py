@@ -32,9 +32,11 @@ of up to two reveals meet in 64 bits, and longer ones do with negligible probabi
 STATE = np.dtype(
     [
         ("advancing", np.int64),  # mask
+        ("worth", np.int64),  # mask: advancing, and not only to come back to this state
+        ("nearer", np.int64),  # mask: advancing, and safe or one interaction nearer to acceptance
         ("safe", np.int64),  # mask: interactions taken without a decision
         ("needed", np.int64),  # mask: advancing now or later
-        ("steps", np.int64),  # interactions to acceptance
+        ("steps", np.int64),  # interactions to acceptance, with objects that can be found
         ("accepting", np.int64),
     ],
     align=True,
@@ -72,6 +74,7 @@ class Model(NamedTuple):
     search_time_s: float
     interact_time_s: float
     penalty_s: float  # added to the cost of a sample that can't finish
+    max_decisions: int  # more decision instants in one roll-out mean that it goes round in circles
 
 
 class World(NamedTuple):

@@ -8,7 +8,15 @@ from mrtask.planning.greedy import LATER_WEIGHT, policy
 from mrtask.planning.paper import belief_kernel as kernel
 from mrtask.planning.paper.leaf_kernel import Bound, Rollouts
 from mrtask.planning.problem import ANY_SAFE, FloatArray, PlanningProblem, needed
-from mrtask.planning.team_model import blank_records, blank_world, masks, state_records, stuck_penalty_s, team_model
+from mrtask.planning.team_model import (
+    blank_records,
+    blank_world,
+    masks,
+    obtainable,
+    state_records,
+    stuck_penalty_s,
+    team_model,
+)
 from mrtask.planning.tree import NONE
 from mrtask.tasks.automaton import Automaton
 
@@ -37,7 +45,7 @@ def paper_model(
         prob=prob,
         possible=masks(prob > 0),
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton),
+        states=state_records(automaton, obtainable(problem)),
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
