@@ -14,31 +14,38 @@ of the container with the shortest way to it; where two such rooms meet there is
 scan stands in a robot's way.
 """
 
+import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated
 
 import numpy as np
 import shapely
-import yaml
-from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 from scipy import ndimage
 
 from mrtask.arrays import Bools, Ints
-from mrtask.errors import InputError
 from mrtask.homes.catalogue import Size, load_catalogue
 from mrtask.homes.contents import fill_home, rooms_with
 from mrtask.homes.home import Container, Door, Home, Obstacle, Polygon, Room
 from mrtask.homes.procthor import rotated_rectangle
 from mrtask.maps.distance_fields import distance_fields
-from mrtask.maps.home_map import MAX_CELLS, REACH_M
+from mrtask.maps.home_map import REACH_M
+from mrtask.maps.ros_image import ImageError, read_cells
+from mrtask.maps.yaml_file import MapError as MapError
+from mrtask.maps.yaml_file import Schema, YamlFile
+from mrtask.names import counted
 
 DEFAULT_SIZE_M = Size(0.3, 0.5, 0.3)
 """For containers of a type that the catalogue does not know."""
 COORDINATE_DECIMALS = 6
-MAX_GRAY = 255.0
+SAME_YAW_RAD = 1e-6
+MAX_SPECKS = 5000
+"""More separate spots that are not free are noise, and would take hours as obstacles."""
+MIN_REGION_M2 = 0.5
+"""Free floor apart from the rest counts as such from this size: smaller spots are noise or the inside of furniture."""
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -46,32 +53,23 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 _Name = Annotated[str, Field(min_length=1)]
 
 
-class MapError(InputError):
-    """A map or containers file that cannot be used: names the file, the line (from 1) and the field."""
-
-    def __init__(self, path: Path, line: int | None, field: str, problem: str) -> None:
-        self.path, self.line, self.field, self.problem = path, line, field, problem
-        where = path.name if line is None else f"{path.name}, line {line}"
-        super().__init__(f"{where}: {f'{field}: ' if field else ''}{problem}")
+class MapWarning(UserWarning):
+    """A map that can be read, but perhaps not as its owner meant it."""
 
 
-class _Schema(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-
-
-class _MapFile(_Schema):
+class _MapFile(Schema):
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
 
     image: _Name
     resolution: _Positive
-    origin: list[_Finite] = Field(min_length=2, max_length=3)
+    origin: list[float] = Field(min_length=2, max_length=3)
     negate: bool | int = 0
     occupied_thresh: _Share = 0.65
     free_thresh: _Share = 0.196
     mode: str = "trinary"
 
 
-class _ContainerEntry(_Schema):
+class _ContainerEntry(Schema):
     name: _Name
     type: _Name
     room: _Name
@@ -81,60 +79,19 @@ class _ContainerEntry(_Schema):
     objects: list[_Name] | None = None
 
 
-class _ContainersFile(_Schema):
-    rooms: dict[_Name, _Name] = {}
+class _ContainersFile(Schema):
+    rooms: dict[_Name, _Name] = Field(default_factory=dict)
     containers: list[_ContainerEntry] = Field(min_length=1)
 
 
-_T = TypeVar("_T", bound=_Schema)
+@dataclass(frozen=True)
+class _Floor:
+    """The free cells of a scan."""
 
-
-class _YamlFile:
-    """A YAML file's data with the line of each field."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lines: dict[tuple[str | int, ...], int] = {}
-        try:
-            node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-        except (OSError, UnicodeDecodeError) as error:
-            raise MapError(path, None, "", f"cannot be read ({error})") from None
-        except yaml.MarkedYAMLError as error:
-            line = error.problem_mark.line + 1 if error.problem_mark else None
-            raise MapError(path, line, "", f"is not YAML ({error.problem})") from None
-        self.data = self._construct(node, ())
-
-    def _construct(self, node: yaml.Node | None, place: tuple[str | int, ...]) -> Any:
-        if node is None:
-            return None
-        self._lines[place] = node.start_mark.line + 1
-        if isinstance(node, yaml.MappingNode):
-            result = {}
-            for key_node, value_node in node.value:
-                key = str(key_node.value)
-                if key in result:
-                    raise MapError(self.path, key_node.start_mark.line + 1, key, "is given twice")
-                result[key] = self._construct(value_node, (*place, key))
-            return result
-        if isinstance(node, yaml.SequenceNode):
-            return [self._construct(item, (*place, index)) for index, item in enumerate(node.value)]
-        return yaml.safe_load(yaml.serialize(node))
-
-    def error(self, place: tuple[str | int, ...], problem: str) -> MapError:
-        """An error at a field, or at the nearest that is written down."""
-        known = place
-        while known and known not in self._lines:
-            known = known[:-1]
-        field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
-        return MapError(self.path, self._lines.get(known), field, problem)
-
-    def check(self, schema: type[_T]) -> _T:
-        """The data as the schema has it."""
-        try:
-            return schema.model_validate(self.data)
-        except ValidationError as error:
-            first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-            raise self.error(tuple(first["loc"]), first["msg"][:1].lower() + first["msg"][1:]) from None
+    main: Bools
+    """[H, W] the largest connected region: the home."""
+    rest: Bools
+    """[H, W] other regions large enough to stand on."""
 
 
 def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: int, seed: int) -> tuple[Home, ...]:
@@ -144,7 +101,7 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
     `MapError`, also where contents are to be drawn for a container of a type that the catalogue does not know.
     """
     home = read_ros_map(map_path, containers_path)
-    containers_file = _YamlFile(Path(containers_path))
+    containers_file = YamlFile(Path(containers_path))
     listed = containers_file.check(_ContainersFile).containers
     if any(entry.objects is not None for entry in listed):
         return (home,)
@@ -161,67 +118,144 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
     return tuple({world.id: world for world in drawn}.values())
 
 
+@dataclass(frozen=True)
+class ScannedFloor:
+    """A home read from a map, and what its owner should know about the reading."""
+
+    home: Home
+    area_m2: float
+    warnings: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """``lab.yaml: 42.0 m2 of floor, 2 rooms, 5 containers``."""
+        rooms = len({room.id.partition("#")[0] for room in self.home.rooms})
+        containers = counted(len(self.home.containers), "container")
+        return f"{self.home.source}: {self.area_m2:.1f} m2 of floor, {counted(rooms, 'room')}, {containers}"
+
+
 def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
-    """The scanned floor with its containers as a home; raises `MapError` naming file, line and field."""
+    """The scanned floor with its containers as a home.
+
+    Warns with a `MapWarning` of what `scan_floor` found doubtful; raises `MapError` naming file, line and field.
+    """
+    scan = scan_floor(map_path, containers_path)
+    for text in scan.warnings:
+        warnings.warn(text, MapWarning, stacklevel=2)
+    return scan.home
+
+
+def scan_floor(map_path: Path | str, containers_path: Path | str) -> ScannedFloor:
+    """The scanned floor with its containers; raises `MapError` naming file, line and field."""
     map_path = Path(map_path)
-    map_file = _YamlFile(map_path)
-    facts = map_file.check(_MapFile)
-    floor = _floor_cells(map_file, facts)
-    containers_file = _YamlFile(Path(containers_path))
+    map_file = YamlFile(map_path)
+    facts, doubts = _facts(map_file)
+    floor, more_doubts = _floor(map_file, facts)
+    containers_file = YamlFile(Path(containers_path))
     listed = containers_file.check(_ContainersFile)
-    containers: list[Container] = []
-    seeds: list[tuple[int, int]] = []
-    for index, entry in enumerate(listed.containers):
-        if entry.name in {container.id for container in containers}:
-            raise containers_file.error(("containers", index, "name"), f"'{entry.name}' is used twice")
-        container = _container(entry)
-        containers.append(container)
-        cell = _nearest_floor(floor, facts, container.footprint)
-        if cell is None:
-            problem = f"{entry.position} is not within {REACH_M} m of free floor; is it in the map's metres?"
-            raise containers_file.error(("containers", index, "position"), problem)
-        seeds.append(cell)
+    containers, seeds = _placed(containers_file, listed, floor, facts)
     names = list(dict.fromkeys(entry.room for entry in listed.containers))
     if unused := sorted(set(listed.rooms) - set(names)):
         raise containers_file.error(
             ("rooms", unused[0]), "no container is in this room; the rooms are " + ", ".join(names)
         )
-    room_of = _divide(floor, seeds, [names.index(entry.room) for entry in listed.containers])
+    room_of = _divide(floor.main, seeds, [names.index(entry.room) for entry in listed.containers])
     rooms: list[Room] = []
     obstacles: list[Obstacle] = []
     for number, name in enumerate(names):
-        for piece in _pieces(room_of, number):
+        pieces = list(_pieces(room_of, number))
+        if not pieces:
+            index = next(index for index, entry in enumerate(listed.containers) if entry.room == name)
+            problem = f"no floor is left for '{name}': a container of another room is as near to all of it"
+            raise containers_file.error(("containers", index, "room"), problem)
+        for piece in pieces:
             outline = _to_metres(piece.exterior, facts)
             room_id = name if name not in {room.id for room in rooms} else f"{name}#{len(rooms)}"
             rooms.append(Room(room_id, listed.rooms.get(name, name), outline))
             obstacles += [Obstacle("", "Wall", _to_metres(hole, facts)) for hole in piece.interiors]
     numbered = tuple(Obstacle(f"wall-{index}", wall.type, wall.footprint) for index, wall in enumerate(obstacles))
-    return Home(map_path.name, tuple(rooms), tuple(_openings(rooms)), tuple(containers), numbered)
+    home = Home(map_path.name, tuple(rooms), tuple(_openings(rooms)), tuple(containers), numbered)
+    return ScannedFloor(home, float(floor.main.sum()) * facts.resolution**2, (*doubts, *more_doubts))
 
 
-def _floor_cells(file: _YamlFile, facts: _MapFile) -> Bools:
-    """[H, W] the largest region of surely free cells, row 0 at the origin's side (images start at the top)."""
+def _placed(
+    file: YamlFile, listed: _ContainersFile, floor: _Floor, facts: _MapFile
+) -> tuple[list[Container], list[tuple[int, int]]]:
+    """The containers, and for each the cell of the floor that is nearest to it."""
+    containers: list[Container] = []
+    cells: list[tuple[int, int]] = []
+    for index, entry in enumerate(listed.containers):
+        if entry.name in {container.id for container in containers}:
+            raise file.error(("containers", index, "name"), f"'{entry.name}' is used twice")
+        container = _container(entry)
+        containers.append(container)
+        cell, away_m = _nearest_floor(floor.main, facts, container.footprint)
+        _, away_elsewhere_m = _nearest_floor(floor.rest, facts, container.footprint)
+        if away_elsewhere_m + facts.resolution < away_m:
+            problem = f"{entry.position} is on floor that is not connected with the rest of the map (a shut door?)"
+            raise file.error(("containers", index, "position"), problem)
+        if cell is None:
+            problem = f"{entry.position} is not within {REACH_M} m of free floor; is it in the map's metres?"
+            raise file.error(("containers", index, "position"), problem)
+        cells.append(cell)
+    return containers, cells
+
+
+def _facts(file: YamlFile) -> tuple[_MapFile, list[str]]:
+    """What the map's YAML says, checked, and warnings about it."""
+    facts, warnings_ = file.check(_MapFile), []
     if facts.mode not in ("trinary", "scale"):
         raise file.error(("mode",), f"'{facts.mode}' is not supported; allowed: trinary, scale")
-    if len(facts.origin) == 3 and facts.origin[2] != 0:
-        raise file.error(("origin", 2), f"a turn of {facts.origin[2]} rad is not supported; turn the image instead")
+    for axis in (0, 1):
+        if not np.isfinite(facts.origin[axis]):
+            raise file.error(("origin", axis), "input should be a finite number")
+    yaw = facts.origin[2] if len(facts.origin) == 3 else 0.0
+    if not np.isfinite(yaw):
+        warnings_.append(
+            f"{file.path.name}: the yaw of origin is {yaw}, which some versions of map_saver write; read as 0"
+        )
+    elif abs(yaw) > SAME_YAW_RAD:
+        raise file.error(("origin", 2), f"a turn of {yaw} rad is not supported; turn the image instead")
     if facts.free_thresh >= facts.occupied_thresh:
         raise file.error(("free_thresh",), f"{facts.free_thresh} is not below occupied_thresh {facts.occupied_thresh}")
-    path = file.path.parent / facts.image
+    return facts, warnings_
+
+
+def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
+    """The floor, row 0 at the origin's side (images start at the top), and warnings about it."""
+    path, cell_m2 = file.path.parent / facts.image, facts.resolution**2
     try:
-        with Image.open(path) as image:
-            width, height = image.size
-            gray = np.asarray(image.convert("L"), np.float64) if width * height <= MAX_CELLS else None
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise file.error(("image",), f"'{path}' cannot be read as an image ({error})") from None
-    if gray is None:
-        raise file.error(("image",), f"{width} x {height} is more than {MAX_CELLS} cells")
-    occupied_prob = gray / MAX_GRAY if facts.negate else (MAX_GRAY - gray) / MAX_GRAY
-    free = np.flipud(occupied_prob < facts.free_thresh)
-    labels, count = ndimage.label(free)
+        cells = read_cells(path, negate=bool(facts.negate), free_thresh=facts.free_thresh)
+    except ImageError as error:
+        raise file.error(("image",), f"'{facts.image}' {error}") from None
+    labels, count = ndimage.label(cells.free)
     if count == 0:
         raise file.error(("image",), "no cell is free; are negate and free_thresh right?")
-    return np.asarray(labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])))
+    _, specks = ndimage.label(~cells.free)
+    if specks > MAX_SPECKS:
+        raise file.error(
+            ("image",),
+            f"{specks} separate spots of the image are not free, more than {MAX_SPECKS}: the scan is too noisy; "
+            "smooth it, for example with a median filter",
+        )
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    main = int(np.argmax(sizes))
+    large = np.flatnonzero(sizes * cell_m2 >= MIN_REGION_M2)
+    left_out = [int(label) for label in large if label != main]
+    name, warnings_ = file.path.name, []
+    if cells.unknown_as_free:
+        warnings_.append(
+            f"{name}: {cells.unknown_as_free} cells of grey 205, which map_saver writes for unknown space, count as "
+            f"floor since free_thresh is {facts.free_thresh:g}; free_thresh: 0.196 leaves them out"
+        )
+    if left_out:
+        area_m2 = float(sizes[left_out].sum()) * cell_m2
+        warnings_.append(
+            f"{name}: {area_m2:.1f} m2 of free floor in {counted(len(left_out), 'region')} are left out: no way leads "
+            "there on the scan (a shut door?)"
+        )
+    return _Floor(labels == main, np.isin(labels, left_out)), warnings_
 
 
 def _container(entry: _ContainerEntry) -> Container:
@@ -232,19 +266,21 @@ def _container(entry: _ContainerEntry) -> Container:
     return Container(entry.name, entry.type, entry.room, footprint, tuple(sorted(set(entry.objects or ()))))
 
 
-def _nearest_floor(floor: Bools, facts: _MapFile, footprint: Polygon) -> tuple[int, int] | None:
-    """The floor cell nearest to a footprint, None where it is out of reach."""
+def _nearest_floor(floor: Bools, facts: _MapFile, footprint: Polygon) -> tuple[tuple[int, int] | None, float]:
+    """The floor cell nearest to a footprint and its distance in metres; None and inf where it is out of reach."""
     corners = (np.array(footprint) - facts.origin[:2]) / facts.resolution
     reach = REACH_M / facts.resolution
     left, bottom = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
     right, top = np.maximum(np.ceil(corners.max(axis=0) + reach), 0).astype(int)
     rows, cols = np.nonzero(floor[bottom:top, left:right])
     if len(rows) == 0:
-        return None
+        return None, np.inf
     points = shapely.points(cols + left + 0.5, rows + bottom + 0.5)
     distance = shapely.distance(points, shapely.Polygon(corners))
     best = int(np.argmin(distance))
-    return (int(rows[best] + bottom), int(cols[best] + left)) if distance[best] <= reach else None
+    if distance[best] > reach:
+        return None, np.inf
+    return (int(rows[best] + bottom), int(cols[best] + left)), float(distance[best]) * facts.resolution
 
 
 def _divide(floor: Bools, seeds: list[tuple[int, int]], rooms: list[int]) -> Ints:

@@ -18,6 +18,7 @@ from mrtask.planning.team_kernel import (
     FOUND,
     INTERACTING,
     MOVING,
+    STUCK,
     Model,
     World,
     act,
@@ -58,7 +59,7 @@ def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     if greedy.tag[row] == key:
         return row
     greedy.tag[row] = key
-    now = model.states[z].advancing & ~found
+    now = model.states[z].nearer & ~found
     later = model.states[z].needed & ~found & ~now
     for c in range(model.prob.shape[0]):
         missed = 1.0
@@ -86,8 +87,8 @@ def _fetching(model: Model, world: World) -> int:
 
 @inlined
 def _all_fetched(model: Model, world: World, fetching: int) -> bool:
-    """Whether every object that advances the task now is being fetched, so that others may prepare for later."""
-    return (model.states[world.state[AUTOMATON]].advancing & ~fetching) == 0
+    """Whether every object that brings acceptance nearer is being fetched, so that others may prepare for later."""
+    return (model.states[world.state[AUTOMATON]].nearer & ~fetching) == 0
 
 
 @inlined
@@ -98,7 +99,7 @@ def _stands_ready(model: Model, world: World, r: int) -> bool:
     if robot.mode == MOVING or place == NONE or world.containers[place].searched == 0:
         return False
     state = model.states[world.state[AUTOMATON]]
-    return (world.containers[place].holds & state.needed & ~state.advancing) != 0
+    return (world.containers[place].holds & state.needed & ~state.nearer) != 0
 
 
 @inlined
@@ -119,7 +120,7 @@ def _score(
         useful = container.holds & state.needed
         if useful & state.safe & ~fetching:
             weight = 1.0
-        elif ahead and useful & ~state.advancing and not _stands_ready(model, world, r):
+        elif ahead and useful & ~state.nearer and not _stands_ready(model, world, r):
             weight = 1.0 / greedy.later_weight
         else:
             return np.inf
@@ -130,9 +131,12 @@ def _score(
 
 @inlined
 def _best(
-    model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int
+    model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, detours: bool, r: int
 ) -> tuple[int, float]:
-    """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none."""
+    """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none.
+
+    With ``detours``, interactions that may hurt and lead no nearer to acceptance are actions too.
+    """
     containers = world.containers.size
     best, best_score = NONE, np.inf
     for early in range(2):  # with nothing to do now, be where an object is that is needed later
@@ -145,14 +149,13 @@ def _best(
             break
     z = world.state[AUTOMATON]
     state = model.states[z]
-    named = state.advancing & ~state.safe & world.state[FOUND] & ~fetching
+    named = (state.worth if detours else state.nearer) & ~state.safe & world.state[FOUND] & ~fetching
     obj = 0
     while named:
         if named & 1 and greedy.skip[containers + obj] == 0:
             c = nearest_holding(model, world, r, obj)
-            nearer = model.states[model.transitions[z, obj]].steps < state.steps
             if c != NONE:
-                factor = 1.0 if nearer else DETOUR_FACTOR
+                factor = 1.0 if (state.nearer >> obj) & 1 else DETOUR_FACTOR
                 score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * factor
                 if score < best_score:
                     best, best_score = containers + obj, score
@@ -171,7 +174,7 @@ def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int
     fetching = _fetching(model, world)
     ahead, action = _all_fetched(model, world, fetching), NONE
     for _ in range(2):
-        action, _ = _best(model, world, greedy, row, fetching, ahead, r)
+        action, _ = _best(model, world, greedy, row, fetching, ahead, True, r)
         if action != NONE:
             break
         fetching, ahead = 0, True
@@ -195,7 +198,7 @@ def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int, plac
     ahead = _all_fetched(model, world, fetching)
     for r in range(world.robots.size):
         if world.robots[r].undecided and (place == EVERYWHERE or greedy.action[r] == place):
-            greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, r)
+            greedy.action[r], greedy.score[r] = _best(model, world, greedy, row, fetching, ahead, False, r)
 
 
 @inlined
@@ -224,9 +227,15 @@ def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
 
 @inlined
 def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s) -> int:
-    """Finishes the task greedily: DONE or STUCK."""
-    while True:
+    """Finish the task greedily: DONE or STUCK.
+
+    This ends because each search, and each interaction that the policy makes, happens a bounded number of times: safe
+    interactions take nothing away from what finishes the task, and all others lead nearer to acceptance. The bound on
+    decisions backs up this argument.
+    """
+    for _ in range(model.max_decisions):
         assign(model, world, greedy)
         outcome = advance(model, world, rng)
         if outcome != DECIDE:
             return outcome
+    return STUCK

@@ -192,3 +192,33 @@ def needed(automaton: Automaton) -> Bools:
         if (grown == result).all():
             return result
         result = grown
+
+
+def worth_interacting(automaton: Automaton, candidates: Bools, available: Bools) -> Bools:
+    """[Z, O]: the ``candidates`` after which the task can be finished without coming back to the state they leave.
+
+    All others only lose time: a team that comes back could have stayed. Only letters of ``available`` [O] count.
+    """
+    candidates = candidates & available
+    if not candidates.any():
+        return candidates
+    import networkx as nx  # takes a tenth of a second to import, and few tasks have candidates
+
+    accepted = len(automaton.accepting)
+    ways_back = nx.DiGraph([(accepted, int(z)) for z in np.flatnonzero(automaton.accepting)])
+    for obj in np.flatnonzero(available):
+        ways_back.add_edges_from((int(after), z) for z, after in enumerate(automaton.transitions[:, obj]))
+    # A state dominates those from which every way to acceptance leads through it.
+    dominators = nx.immediate_dominators(ways_back, accepted)
+    tree = nx.DiGraph((before, z) for z, before in dominators.items() if before is not None and z != before)
+    tree.add_node(accepted)
+    order = {z: number for number, z in enumerate(nx.dfs_preorder_nodes(tree, accepted))}
+    last = dict(order)
+    for z in nx.dfs_postorder_nodes(tree, accepted):
+        last[z] = max([order[z], *(last[child] for child in tree.successors(z))])
+    result = candidates.copy()
+    for z, obj in zip(*np.nonzero(candidates), strict=True):
+        after = int(automaton.transitions[z, obj])
+        through = after not in order or (z in order and order[z] <= order[after] <= last[z])
+        result[z, obj] = not through
+    return result

@@ -18,9 +18,11 @@ AUTOMATON = 0
 STATE = np.dtype(
     [
         ("advancing", np.int64),  # mask
+        ("worth", np.int64),  # mask: advancing, and not only to come back to this state
+        ("nearer", np.int64),  # mask: advancing, and safe or one interaction nearer to acceptance
         ("safe", np.int64),  # mask: interactions taken without a decision
         ("needed", np.int64),  # mask: advancing now or later
-        ("steps", np.int64),  # interactions to acceptance
+        ("steps", np.int64),  # interactions to acceptance, with objects that can be found
         ("accepting", np.int64),
     ],
     align=True,

@@ -57,6 +57,7 @@ class Model(NamedTuple):
     search_time_s: float
     interact_time_s: float
     penalty_s: float  # added to the cost of a sample that can't finish
+    max_decisions: int  # more decision instants in one roll-out mean that it goes round in circles
 
 
 class World(NamedTuple):

@@ -2,16 +2,26 @@
 
 import numpy as np
 
-from mrtask.arrays import Ints
+from mrtask.arrays import Bools, Ints
 from mrtask.planning import team_kernel as kernel
 from mrtask.planning.compiled import Records
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, needed, safe
+from mrtask.planning.problem import (
+    ANY_SAFE,
+    WAIT,
+    Assignment,
+    PlanningProblem,
+    needed,
+    safe,
+    worth_interacting,
+)
 from mrtask.planning.shared_kernel import AUTOMATON, NONE, STATE
 from mrtask.tasks.automaton import Automaton
 
 MIN_PROB = 1e-6
 """Likelihoods of 0 and 1 move this far inside: a container that should hold nothing is searched last, not never."""
 MAX_OBJECTS = 30
+MOVES_PER_EVENT = 4
+"""Between two events at which something is learned or done, a robot of a roll-out moves fewer times than this."""
 
 
 def team_model(problem: PlanningProblem) -> kernel.Model:
@@ -31,10 +41,11 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         prob=prob,
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton),
+        states=state_records(automaton, obtainable(problem)),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
         penalty_s=stuck_penalty_s(problem),
+        max_decisions=MOVES_PER_EVENT * (len(problem.robots) + 1) * (len(prob) + len(automaton.accepting)),
     )
 
 
@@ -102,13 +113,23 @@ def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Reco
     return records
 
 
-def state_records(automaton: Automaton) -> Records:
-    """[Z] what kernels know of a task's states."""
+def obtainable(problem: PlanningProblem) -> Bools:
+    """Return the [O] objects that were found, or all of them while there is somewhere left to search."""
+    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
+    return np.asarray(problem.found() | (reachable & ~problem.searched).any())
+
+
+def state_records(automaton: Automaton, available: Bools) -> Records:
+    """Return [Z] what kernels know of a task's states, where only the ``available`` [O] objects will be found."""
     records = blank_records(len(automaton.accepting), STATE)
+    steps, harmless = automaton.steps_with(available), safe(automaton)
+    nearer = automaton.advancing & (harmless | (steps[automaton.transitions] < steps[:, None]))
     records.advancing[:] = masks(automaton.advancing)
-    records.safe[:] = masks(safe(automaton))
+    records.worth[:] = masks(nearer | worth_interacting(automaton, automaton.advancing & ~nearer, available))
+    records.nearer[:] = masks(nearer)
+    records.safe[:] = masks(harmless)
     records.needed[:] = masks(needed(automaton))
-    records.steps[:] = automaton.steps_to_accept
+    records.steps[:] = steps
     records.accepting[:] = automaton.accepting
     return records
 

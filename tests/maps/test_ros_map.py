@@ -5,7 +5,7 @@ from PIL import Image
 from shapely.geometry import Polygon
 
 from mrtask.maps.home_map import build_map
-from mrtask.maps.ros_map import MapError, read_map_worlds, read_ros_map
+from mrtask.maps.ros_map import MapError, MapWarning, read_map_worlds, read_ros_map, scan_floor
 
 MAP = """image: floor.pgm
 resolution: 0.05
@@ -143,7 +143,15 @@ def test_a_room_around_another_is_cut_so_that_they_do_not_overlap(tmp_path):
         (MAP.replace("0.196", "0.001"), r"line 1: image: no cell is free; are negate and free_thresh right"),
         (MAP + "image: twice.pgm\n", r"line 7: image: is given twice"),
         (MAP + "mode: [scale", r"map\.yaml, line \d+: is not YAML"),
-        ("", r"map\.yaml: input should be"),
+        ("", r"map\.yaml: should hold keys and values"),
+        (MAP.replace("floor.pgm", ""), r"line 1: image: field required"),
+        (MAP.replace("[-1.0, -2.0, 0.0]", "[-1.0, ]"), r"line 3: origin: list should have at least 2"),
+        (MAP.replace("-1.0, -2.0", "~, -2.0"), r"line 3: origin\[0\]: has no value"),
+        (MAP + "date: 2026-13-45\n", r"line 7: date: '2026-13-45' cannot be read \(month must be"),
+        (MAP + "made: !ros/map x\n", r"line 7: made: could not determine a constructor for the tag '!ros/map'"),
+        (MAP + "note: a\x07b\n", r"line 7: is not YAML \(character 7: special characters"),
+        (MAP + "note: &a [*a]\n", r"map\.yaml: is nested too deeply, or refers to itself"),
+        (MAP + "note: " + "[" * 3000 + "]" * 3000, r"map\.yaml: is nested too deeply, or refers to itself"),
     ],
 )
 def test_bad_maps(tmp_path, text, message):
@@ -184,6 +192,119 @@ def test_bad_containers(tmp_path, old, new, message):
     assert old in CONTAINERS
     with pytest.raises(MapError, match=message):
         read_ros_map(*write(tmp_path, containers=CONTAINERS.replace(old, new)))
+
+
+def test_keys_without_a_value_count_as_left_out(tmp_path, home):
+    text = MAP.replace("0.65", "") + "mode:\ndescription:\n"
+    listed = CONTAINERS.replace("size: [1.6, 0.8]", "size:, objects:").replace(
+        "yaw_deg: 90", "yaw_deg: 90\n    objects:"
+    )
+    written = read_ros_map(*write(tmp_path, map_text=text, containers=listed))
+    assert [container.objects for container in written.containers] == [("Apple", "Egg"), (), ()]
+    bare = CONTAINERS.partition("\n")[2]
+    assert read_ros_map(*write(tmp_path, map_text=text, containers="rooms:\n" + bare)).rooms
+
+
+def test_numbers_as_cpp_programs_write_them(tmp_path, home):
+    text = MAP.replace("-1.0, -2.0, 0.0", "-1e0, -2, 1e-17").replace("0.05", "5e-2")
+    assert read_ros_map(*write(tmp_path, map_text=text)).id == home.id
+    with pytest.raises(MapError, match=r"line 2: resolution: input should be a valid number"):
+        read_ros_map(*write(tmp_path, map_text=MAP.replace("0.05", "'0.05'")))
+
+
+def test_a_yaw_that_is_no_number_is_read_as_zero_and_said(tmp_path, home):
+    for yaw in ("-nan", "nan", ".nan", "inf"):
+        paths = write(tmp_path, map_text=MAP.replace("-2.0, 0.0", f"-2.0, {yaw}"))
+        with pytest.warns(MapWarning, match=r"map\.yaml: the yaw of origin is .*; read as 0"):
+            assert read_ros_map(*paths).id == home.id
+
+
+@pytest.mark.parametrize(
+    "kind", ["16-bit png", "16-bit pgm", "16-bit tiff", "rgb", "palette", "alpha", "gray and alpha"]
+)
+def test_every_kind_of_image_gives_the_same_floor(tmp_path, home, kind):
+    gray = floor_image()
+    image = Image.fromarray(np.flipud(gray))
+    wide = np.flipud(gray).astype(np.uint16) * 257
+    name = "floor.tiff" if "tiff" in kind else "floor.png"
+    map_path, containers = write(tmp_path, map_text=MAP.replace("floor.pgm", name))
+    if kind == "16-bit pgm":
+        map_path.write_text(MAP)
+        header = f"P5 {gray.shape[1]} {gray.shape[0]} 65535\n".encode()
+        (tmp_path / "floor.pgm").write_bytes(header + wide.astype(">u2").tobytes())
+    elif kind.startswith("16-bit"):
+        Image.fromarray(wide).save(tmp_path / name)
+    elif kind == "rgb":
+        image.convert("RGB").save(tmp_path / name)
+    elif kind == "palette":
+        image.convert("P").save(tmp_path / name)
+    else:  # unknown cells are white, but not opaque
+        opaque = Image.fromarray(np.where(np.flipud(gray) == GRAY, 0, 255).astype(np.uint8))
+        seen = Image.fromarray(np.where(np.flipud(gray) == GRAY, WHITE, np.flipud(gray)).astype(np.uint8))
+        Image.merge("LA", (seen, opaque)).convert("LA" if "gray" in kind else "RGBA").save(tmp_path / name)
+    assert read_ros_map(map_path, containers).id == home.id
+
+
+def test_colours_count_by_their_mean(tmp_path):
+    """Green of 180 is light by its weight in luma, and three quarters dark by the mean of the channels."""
+    cells = np.stack([np.flipud(floor_image())] * 3, axis=2)
+    cells[40:50, 60:70] = (0, 180, 0)
+    map_path, containers = write(tmp_path, map_text=MAP.replace("floor.pgm", "floor.png").replace("0.196", "0.6"))
+    Image.fromarray(cells).save(tmp_path / "floor.png")
+    with pytest.warns(MapWarning, match="grey 205"):
+        assert any(wall.type == "Wall" for wall in read_ros_map(map_path, containers).obstacles)
+
+
+def test_images_that_lose_something_or_are_too_large_are_refused(tmp_path):
+    map_path, containers = write(tmp_path, map_text=MAP.replace("floor.pgm", "floor.tiff"))
+    Image.fromarray(floor_image().astype(np.float32)).save(tmp_path / "floor.tiff")
+    with pytest.raises(MapError, match=r"line 1: image: 'floor.tiff' pixels of mode F are not supported; save it as"):
+        read_ros_map(map_path, containers)
+    map_path.write_text(MAP)
+    (tmp_path / "floor.pgm").write_bytes(b"P5 20000 20000 255\n")
+    with pytest.raises(MapError, match=r"line 1: image: 'floor.pgm' has more than 16000000 cells"):
+        read_ros_map(map_path, containers)
+
+
+def test_unknown_cells_that_count_as_floor_are_said(tmp_path):
+    paths = write(tmp_path, map_text=MAP.replace("0.196", "0.25"))
+    with pytest.warns(MapWarning, match=r"map.yaml: \d+ cells of grey 205, .*; free_thresh: 0.196 leaves them out"):
+        read_ros_map(*paths)
+
+
+def shut_door():
+    cells = floor_image()
+    cells[:, 40:43] = BLACK
+    return cells
+
+
+def test_floor_behind_a_shut_door_is_left_out_and_said(tmp_path):
+    in_the_hall = CONTAINERS.replace("position: [-0.5, -1.5]", "position: [2.0, 1.5]")
+    scan = scan_floor(*write(tmp_path, shut_door(), containers=in_the_hall))
+    assert scan.area_m2 == pytest.approx(((shut_door() == WHITE)[:, 43:]).sum() * 0.05**2)
+    assert scan.summary == f"map.yaml: {scan.area_m2:.1f} m2 of floor, 2 rooms, 3 containers"
+    [warning] = scan.warnings
+    assert "7.6 m2 of free floor in 1 region are left out: no way leads there on the scan" in warning
+
+
+def test_a_container_behind_a_shut_door_is_not_reached_through_the_wall(tmp_path):
+    near_the_wall = CONTAINERS.replace("position: [-0.5, -1.5]", "position: [0.6, -1.5]")
+    for listed in (CONTAINERS, near_the_wall):
+        with pytest.raises(MapError, match=r"line 3: containers\[0\].position: .* is on floor that is not connected"):
+            read_ros_map(*write(tmp_path, shut_door(), containers=listed))
+
+
+def test_a_room_that_shares_its_only_floor_with_another_is_refused(tmp_path):
+    twin = "  - {name: hatch, type: Shelf, room: lounge, position: [4.0, 1.2], size: [1.6, 0.8]}\n"
+    with pytest.raises(MapError, match=r"line 10: containers\[3\].room: no floor is left for 'lounge'"):
+        read_ros_map(*write(tmp_path, containers=CONTAINERS + twin))
+
+
+def test_a_scan_full_of_specks_is_refused_at_once(tmp_path):
+    cells = np.full((600, 600), WHITE, np.uint8)
+    cells[np.random.default_rng(0).random(cells.shape) < 0.15] = BLACK
+    with pytest.raises(MapError, match=r"line 1: image: \d+ separate spots of the image are not free, more than 5000"):
+        read_ros_map(*write(tmp_path, cells))
 
 
 def test_missing_and_empty_files(tmp_path):

@@ -214,15 +214,15 @@ class ExactSolver:
             named = robot.action[1] is not None
             state = self._with(state, r, self._freed(robot) if named else replace(robot, busy="search"))
             if news:
-                state = self._wake(state, r)
+                state = self._wake(state)
             yield 1.0, *((state, True, news) if named else self._interact(state, r, news))
             return
         yield 1.0, *self._interact(state, r, news=False)
 
-    def _wake(self, state, r):
+    def _wake(self, state):
         """Robots that stand at an object whose time has come begin with it."""
         for index, robot in enumerate(state.robots):
-            if index != r and robot.action is None and robot.place is not None and state.held[robot.place] is not None:
+            if robot.action is None and robot.place is not None and state.held[robot.place] is not None:
                 waiting = self._with(state, index, replace(robot, action=(robot.place, None), busy="search"))
                 begun, freed, _ = self._interact(waiting, index, news=False)
                 state = state if freed else begun

@@ -14,7 +14,7 @@ from mrtask.planning.pouct import PouctOptions
 from mrtask.planning.team_model import team_model
 from tests.planning.exact_solver import Robot as SolverRobot
 from tests.planning.exact_solver import State
-from tests.planning.naive_pouct import NaivePouct
+from tests.planning.naive_pouct import NaivePouct, worth_doing
 from tests.planning.naive_random import SplitMix64
 
 WAIT = -1
@@ -89,6 +89,7 @@ class NaivePaperSearch:
         self.delta, self.accepting = automaton.transitions.tolist(), automaton.accepting.tolist()
         self.containers, self.objects = map(range, problem.presence_prob.shape)
         self.advancing = [{o for o in self.objects if automaton.advancing[z, o]} for z in range(len(self.delta))]
+        self.worth = worth_doing(problem)[1]
         self.needed = [set().union(*map(set, self._ways(z))) for z in range(len(self.delta))]
         self.sufficient = [self._minimal(z) for z in range(len(self.delta))]
         self.travel_s = problem.travel_s.tolist()
@@ -189,12 +190,12 @@ class NaivePaperSearch:
     def stands_ready(self, belief, r):
         """Whether a robot is where an object is whose turn comes later."""
         robot = belief.robots[r]
-        later = self.needed[belief.z] - self.advancing[belief.z]
+        later = self.needed[belief.z] - self.worth[belief.z]
         return not robot.under_way and any(belief.known.get((robot.place, o)) for o in later)
 
     def allowed(self, belief, r):
         """The pairs (container, object) that make progress for robot ``r``, in the order in which they are tried."""
-        now, located = self.advancing[belief.z], belief.located()
+        now, located = self.worth[belief.z], belief.located()
         taken = {(robot.place, robot.obj) for robot in belief.robots if robot.obj is not None}
         result = []
         for c in self.containers:
@@ -215,7 +216,7 @@ class NaivePaperSearch:
         others = [robot for index, robot in enumerate(belief.robots) if index != r]
         busy = [robot for robot in others if robot.undecided or robot.obj is not None]
         if options.advance_when_alone and not busy:
-            pairs = [(c, o) for c, o in pairs if o in self.advancing[belief.z]] or pairs
+            pairs = [(c, o) for c, o in pairs if o in self.worth[belief.z]] or pairs
         if options.avoid_targets and others and len(pairs) >= len(belief.robots):
             headed_for = {robot.place for robot in others if robot.obj is not None}
             pairs = [(c, o) for c, o in pairs if c not in headed_for] or pairs

@@ -27,6 +27,32 @@ class Edge:
     children: dict = field(default_factory=dict)
 
 
+def worth_doing(problem):
+    """For each state the objects that are safe or bring acceptance nearer; and with them those after which it can be
+    reached without the state. Letters are the objects that were found, or all while something is left to search."""
+    automaton = problem.automaton
+    reach = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
+    left = (reach & ~problem.searched).any()
+    letters = [
+        o for o in range(len(automaton.propositions)) if left or any(problem.holds(c, o) for c in range(len(reach)))
+    ]
+
+    def steps(z, without=None):
+        front, seen, count = {z}, {z, without}, 0
+        while front and not any(automaton.accepting[one] for one in front):
+            front = {int(automaton.transitions[one, o]) for one in front for o in letters} - seen
+            seen |= front
+            count += 1
+        return count if front else inf
+
+    nearer, worth = [], []
+    for z, row in enumerate(automaton.advancing):
+        after = {o: int(automaton.transitions[z, o]) for o in np.flatnonzero(row)}
+        nearer.append({o for o, to in after.items() if automaton.includes[to, z] or steps(to) < steps(z)})
+        worth.append(nearer[z] | {o for o, to in after.items() if o in letters and steps(to, without=z) < inf})
+    return nearer, worth
+
+
 class NaivePouct(ExactSolver):
     def __init__(self, problem, prob, seed, options):
         super().__init__(problem, prob, options.reassign == "all")
@@ -35,6 +61,7 @@ class NaivePouct(ExactSolver):
         self.costs, self.spreads, self.spread = [], [0.0], 1.0
         self.most = min(options.samples + 1, options.max_nodes)  # nodes, and as many edges
         self.nodes, self.edges = 1, 0
+        self.nearer, self.worth = worth_doing(problem)
         self.tree = Node(self.first_to_decide(self.root))
 
     def run(self, samples):
@@ -100,7 +127,7 @@ class NaivePouct(ExactSolver):
             return WAIT
         fetched = self.being_fetched(state)
         for fetching, ahead in ((fetched, self.nothing_left(state, fetched)), (frozenset(), True)):
-            action, _ = self.best(state, node.robot, fetching, ahead, tried)
+            action, _ = self.best(state, node.robot, fetching, ahead, tried, self.worth)
             if action is not None:
                 return action
         return WAIT if wait_now or not tried else None
@@ -121,11 +148,11 @@ class NaivePouct(ExactSolver):
         """The robot and action of least score over all; waiting where nothing is of use."""
         fetching = self.being_fetched(state)
         ahead = self.nothing_left(state, fetching)
-        scored = [(r, *self.best(state, r, fetching, ahead, ())) for r in sorted(state.undecided)]
+        scored = [(r, *self.best(state, r, fetching, ahead, (), self.nearer)) for r in sorted(state.undecided)]
         robot, action, _ = min(scored, key=lambda choice: choice[2])
         return robot, WAIT if action is None else action
 
-    def best(self, state, r, fetching, ahead, tried):
+    def best(self, state, r, fetching, ahead, tried, allowed):
         """(action, score) of the least score among the actions not tried; (None, inf) if there is none."""
         scored = []
         for early in (ahead,) if ahead else (False, True):
@@ -135,11 +162,11 @@ class NaivePouct(ExactSolver):
                     scored.append((score, c))
             if scored:
                 break
-        for o in sorted((self.advancing[state.z] - self.safe[state.z]) & state.found - fetching):
+        for o in sorted((allowed[state.z] - self.safe[state.z]) & state.found - fetching):
             distance = self._distance(state, r, self.nearest_holding(state, r, o))
             if ("named", o) not in tried and distance < inf:
-                nearer = self.steps[self.delta[state.z, o]] < self.steps[state.z]
-                scored.append((max(distance, 1e-9) * (1.0 if nearer else 1e3), ("named", o)))
+                factor = 1.0 if o in self.nearer[state.z] else 1e3
+                scored.append((max(distance, 1e-9) * factor, ("named", o)))
         score, action = min(scored, key=lambda entry: entry[0], default=(inf, None))
         return action, score
 
@@ -148,16 +175,16 @@ class NaivePouct(ExactSolver):
             i not in state.undecided and x.action is not None and x.action[0] == c for i, x in enumerate(state.robots)
         ):
             return inf
-        needed, advancing = self.needed[state.z], self.advancing[state.z]
+        needed, nearer = self.needed[state.z], self.nearer[state.z]
         distance = max(self._distance(state, r, c), 1e-9)
         if state.held[c] is None:
-            weights = {o: 1.0 if o in advancing else self.options.later_weight for o in needed - state.found}
+            weights = {o: 1.0 if o in nearer else self.options.later_weight for o in needed - state.found}
             helps = 1 - prod(1 - weight * self.prob[c][o] for o, weight in weights.items())
             return distance / helps if helps > 0 else inf
         useful = state.held[c] & needed
         if useful & self.safe[state.z] - fetching:
             return distance
-        if early and useful - advancing and not self.stands_ready(state, r):
+        if early and useful - nearer and not self.stands_ready(state, r):
             return distance / self.options.later_weight
         return inf
 
@@ -174,13 +201,13 @@ class NaivePouct(ExactSolver):
         return mask
 
     def nothing_left(self, state, fetching):
-        return self.advancing[state.z] <= fetching
+        return self.nearer[state.z] <= fetching
 
     def stands_ready(self, state, r):
         robot = state.robots[r]
         if robot.moving or robot.place is None or state.held[robot.place] is None:
             return False
-        return bool(state.held[robot.place] & self.needed[state.z] - self.advancing[state.z])
+        return bool(state.held[robot.place] & self.needed[state.z] - self.nearer[state.z])
 
     def nearest_holding(self, state, r, o):
         places = [c for c, held in enumerate(state.held) if held and o in held]

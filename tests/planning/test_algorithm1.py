@@ -123,7 +123,7 @@ def test_the_kernel_draws_algorithm_1s_outcomes(seed, exists):
     model = paper_model(problem, exists=exists)._replace(
         prob=np.array([[likelihood[c, o] for o in range(3)] for c in range(4)]),
         transitions=automaton.transitions.astype(np.int32),
-        states=state_records(automaton),
+        states=state_records(automaton, np.ones(3, dtype=bool)),
     )
     root, scratch = root_belief(problem, model), blank_belief(problem)
     root.state[AUTOMATON] = team.state

@@ -10,8 +10,15 @@ from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.naive_pouct import NaivePouct
-from tests.planning.problems import random_problem
+from tests.planning.problems import NAMES, make_problem, random_problem
 
+DETOURS = (
+    "F (a & X (b & X c))",
+    "F (a & X b) | F (c & X d)",
+    "(F (a & X (b & X a))) & F c",
+    "F (a & X (b | c) & X X d)",
+)
+"""Tasks in which an interaction can undo what others did."""
 CASES = [
     (template, robots, containers, seconds)
     for template in PAPER_TEMPLATES
@@ -51,6 +58,19 @@ def test_every_sample_of_pouct_equals_the_twins(template, robots, containers, se
         interact_time_s=seconds[1],
     )
     compare(problem, seed, Pouct(samples=200), monkeypatch)
+
+
+@pytest.mark.parametrize("formula", DETOURS)
+@pytest.mark.parametrize("robots", [1, 2])
+def test_every_sample_equals_the_twins_where_interactions_can_lead_back(formula, robots, monkeypatch):
+    for seed in range(3):
+        rng = np.random.default_rng([seed, robots])
+        prob = np.clip(rng.beta(0.5, 1.0, (4, 4)), 0.05, 0.95)
+        prob[0] = rng.random(4) < 0.7
+        problem = make_problem(
+            formula, NAMES, rng.random((4, 2)) * 10, rng.random((robots, 2)) * 10, prob, searched=[0]
+        )
+        compare(problem, seed, Pouct(samples=200), monkeypatch)
 
 
 def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):

@@ -59,7 +59,7 @@ def _stands_ready(model: PaperModel, belief: PaperBelief, r: int) -> bool:
     if place == NONE or belief.robots[r].under_way:
         return False
     z = belief.state[AUTOMATON]
-    return (belief.containers[place].present & model.states[z].needed & ~model.states[z].advancing) != 0
+    return (belief.containers[place].present & model.states[z].needed & ~model.states[z].worth) != 0
 
 
 @inlined
@@ -67,10 +67,10 @@ def useful_objects(model: PaperModel, belief: PaperBelief, r: int) -> tuple[int,
     """Masks of the objects that a robot may look for, and of those that it may go to where they are known to be.
 
     An object known to be somewhere is not looked for elsewhere, and objects for later are looked for, or waited at,
-    once all those that advance the task now (W(z)) are located.
+    once all those worth an interaction now are located.
     """
     z = belief.state[AUTOMATON]
-    now, located = model.states[z].advancing, belief.state[LOCATED]
+    now, located = model.states[z].worth, belief.state[LOCATED]
     if now & ~located:
         return now & ~located, now
     if _stands_ready(model, belief, r):
@@ -116,7 +116,7 @@ def set_limits(
 ) -> None:
     """Works out what the rules leave of a robot's actions: one at least, if there is any."""
     limit, containers = limits.nodes[node], belief.containers.size
-    now = model.states[belief.state[AUTOMATON]].advancing
+    now = model.states[belief.state[AUTOMATON]].worth
     sought, fetched = useful_objects(model, belief, r)
     limit.advancing_only = 0
     if rules.advance_when_alone and _is_alone(belief, r):
@@ -199,7 +199,7 @@ def next_action(
         set_limits(model, belief, rules, limits, node, r)
     sought, fetched = useful_objects(model, belief, r)
     if limited and limits.nodes[node].advancing_only:
-        now = model.states[belief.state[AUTOMATON]].advancing
+        now = model.states[belief.state[AUTOMATON]].worth
         sought, fetched = sought & now, fetched & now
     for c in range(first // objects, containers):
         mask = _objects_at(model, belief, r, c, sought, fetched)

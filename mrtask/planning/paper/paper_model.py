@@ -10,7 +10,15 @@ from mrtask.planning.paper import belief_kernel as kernel
 from mrtask.planning.paper.leaf_kernel import Bound, Rollouts
 from mrtask.planning.problem import ANY_SAFE, PlanningProblem, needed
 from mrtask.planning.shared_kernel import AUTOMATON, NONE
-from mrtask.planning.team_model import blank_records, blank_world, masks, state_records, stuck_penalty_s, team_model
+from mrtask.planning.team_model import (
+    blank_records,
+    blank_world,
+    masks,
+    obtainable,
+    state_records,
+    stuck_penalty_s,
+    team_model,
+)
 from mrtask.tasks.automaton import Automaton
 
 MAX_OBJECTS = 30
@@ -38,7 +46,7 @@ def paper_model(
         prob=prob,
         possible=masks(prob > 0),
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton),
+        states=state_records(automaton, obtainable(problem)),
         sufficient=sufficient_sets(automaton),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
