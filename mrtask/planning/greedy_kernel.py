@@ -130,6 +130,26 @@ def _score(
 
 
 @inlined
+def _disturbed(model: Model, world: World, obj: int) -> bool:
+    """Whether interactions under way may keep one with ``obj`` from bringing acceptance nearer.
+
+    At most one that may hurt is under way at a time: of two, the second could undo what the first has done.
+    """
+    z = world.state[AUTOMATON]
+    for r in range(world.robots.size):
+        robot, other = world.robots[r], NONE
+        if robot.mode == INTERACTING:
+            other = robot.doing
+        elif robot.mode == MOVING and robot.undecided == 0:
+            other = robot.want
+        if other != NONE and (model.states[z].advancing >> other) & 1:
+            after = model.states[model.transitions[z, other]]
+            if (model.states[z].safe >> other) & 1 == 0 or (after.nearer >> obj) & 1 == 0:
+                return True
+    return False
+
+
+@inlined
 def _best(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, detours: bool, r: int
 ) -> tuple[int, float]:
@@ -154,7 +174,7 @@ def _best(
     while named:
         if named & 1 and greedy.skip[containers + obj] == 0:
             c = nearest_holding(model, world, r, obj)
-            if c != NONE:
+            if c != NONE and (detours or not _disturbed(model, world, obj)):
                 factor = 1.0 if (state.nearer >> obj) & 1 else DETOUR_FACTOR
                 score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * factor
                 if score < best_score:

@@ -229,6 +229,16 @@ def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
 
 
 @inlined
+def _anybody_decides(world: World) -> bool:
+    """Whether a robot is free, or under way and to be asked again because something was learned or done."""
+    for r in range(world.robots.size):
+        mode = world.robots[r].mode
+        if mode == FREE or (mode == MOVING and world.state[NEWS]):
+            return True
+    return False
+
+
+@inlined
 def advance(model: Model, world: World, rng: UInt64s) -> int:
     """Lets time run to the next decision instant: DECIDE with `undecided` set, DONE, or STUCK."""
     robots = world.robots.size
@@ -244,7 +254,9 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
                 return STUCK
             break
         if freed and world.robots[due].until_s > world.clock[0] + SAME_INSTANT_S:
-            break
+            if _anybody_decides(world):
+                break
+            freed = False  # whoever was freed has begun an interaction since
         world.clock[0] = max(world.clock[0], world.robots[due].until_s)
         z = world.state[AUTOMATON]
         if _finish_event(model, world, rng, due):

@@ -133,13 +133,14 @@ class NaivePouct(ExactSolver):
         return WAIT if wait_now or not tried else None
 
     def rollout(self, state):
-        while True:
+        for _ in range(4 * (len(state.robots) + 1) * (len(state.held) + len(self.accepting))):
             while state.undecided:
                 robot, action = self.greedy(state)
                 state = self._act(state, robot, self.resolve(state, robot, action))
             state, done = self.unfold(state)
             if done:
                 return state
+        raise AssertionError(f"a roll-out of {self.problem.automaton.formula} goes round in circles")
 
     def first_to_decide(self, state):
         return self.greedy(state)[0]
@@ -164,11 +165,27 @@ class NaivePouct(ExactSolver):
                 break
         for o in sorted((allowed[state.z] - self.safe[state.z]) & state.found - fetching):
             distance = self._distance(state, r, self.nearest_holding(state, r, o))
+            if allowed is self.nearer and self.disturbed(state, o):
+                continue
             if ("named", o) not in tried and distance < inf:
                 factor = 1.0 if o in self.nearer[state.z] else 1e3
                 scored.append((max(distance, 1e-9) * factor, ("named", o)))
         score, action = min(scored, key=lambda entry: entry[0], default=(inf, None))
         return action, score
+
+    def disturbed(self, state, o):
+        """Whether an interaction under way, which comes first, is one that may hurt or leaves nothing to gain by o."""
+        for index, robot in enumerate(state.robots):
+            other = None
+            if robot.busy not in (None, "search"):
+                other = robot.busy
+            elif robot.action is not None and robot.moving and index not in state.undecided:
+                other = robot.action[1]
+            if other in self.advancing[state.z]:
+                after = int(self.delta[state.z, other])
+                if other not in self.safe[state.z] or o not in self.nearer[after]:
+                    return True
+        return False
 
     def score(self, state, r, c, fetching, early):
         if any(
@@ -219,7 +236,9 @@ class NaivePouct(ExactSolver):
 
     def unfold(self, state):
         """(state, done) at the next decision instant, contents drawn."""
-        [(_, state, done)] = self._advance(state, freed=False, news=False)
+        done = False
+        while not (done or state.undecided):
+            [(_, state, done)] = self._advance(state, freed=False, news=False)
         return state, done
 
     def _contents(self, state, container):

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from mrtask.planning.planners import PLANNERS, make_planner
+from mrtask.planning.pouct import Pouct
 from mrtask.planning.problem import worth_interacting
 from mrtask.tasks.automaton import build_automaton
-from tests.planning.fuzz_formulas import MAX_DECISIONS, OPTIONS, play, random_task
+from tests.planning.fuzz_formulas import MAX_DECISIONS, OPTIONS, play, problem_of, random_task
 from tests.planning.naive_pouct import worth_doing
 from tests.planning.play import Play
 from tests.planning.problems import make_problem
+from tests.planning.test_pouct_twin import compare
 
 LEADS_BACK = ("F (mug & X (book & X laptop))", "F (laptop & X (mug & X book))")
 """After ``mug``, an interaction with ``laptop`` leads back to the start."""
@@ -23,6 +25,14 @@ def test_every_planner_ends_random_tasks(first):
         for name, played in ended.items():
             # The paper's planner may go round in circles where it has few samples; the episode's limit ends that.
             assert played.accepted or (name == "pouct_paper" and played.decisions == MAX_DECISIONS), automaton.formula
+
+
+@pytest.mark.parametrize("first", range(0, 60, 20))
+def test_roll_outs_of_random_tasks_end_by_themselves_as_the_twins(first, monkeypatch):
+    """The twin raises where the bound on decisions would have to end a roll-out."""
+    for number in range(first, first + 20):
+        problem, _ = problem_of(number, random_task(number))
+        compare(problem, number, Pouct(samples=20), monkeypatch)
 
 
 @pytest.mark.parametrize("formula", LEADS_BACK)
