@@ -8,6 +8,7 @@ database by ``assetId``. Without a database, sizes come from the catalogue: the 
 import gzip
 import json
 import math
+import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import combinations
@@ -32,6 +33,8 @@ ON_FLOOR_BELOW_M = 0.3
 """Things whose underside is higher (paintings, wall televisions) are no obstacle."""
 WALL_TOLERANCE_M = 0.05
 """Wall ids carry two decimals, door positions all of them."""
+_ASSET_GROUP = re.compile(r"_\d+$")
+"""What ids of asset groups append to their type: ``Mug_3``."""
 
 
 class HouseError(InputError):
@@ -298,9 +301,9 @@ def _wall_ends(wall_id: str, walls: Mapping[str, _Wall]) -> tuple[Point, Point] 
 
 
 def _id_type(object_id: str) -> str | None:
-    """The type in an id such as ``Fridge|2|1``; ``2|1`` and ``small|2|1`` carry none."""
+    """The type in an id such as ``Fridge|2|1`` or ``Mug_3|2|0|1``; ``2|1`` and ``small|2|1`` carry none."""
     head, _, rest = object_id.partition("|")
-    return head if rest and head[:1].isupper() else None
+    return _ASSET_GROUP.sub("", head) if rest and head[:1].isupper() else None
 
 
 def _object_type(item: _Child, assets: AssetDatabase | None) -> str | None:

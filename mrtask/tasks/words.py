@@ -29,6 +29,17 @@ _OPERATORS: tuple["Operator", ...] = ("then", "or", "and")
 _VERBS = ("bring", "deliver", "take", "carry", "put")
 _TO = ("to", "on", "onto", "in", "into")
 _IGNORED = ("the", "a", "an", "first", "please", "find", "reach")
+_NO_NAME = frozenset(
+    {
+        "all", "any", "are", "at", "avoid", "by", "check", "clean", "close", "cool", "cut", "each", "every", "fetch",
+        "for", "from", "get", "go", "grab", "heat", "is", "it", "its", "look", "move", "my", "near", "no", "of",
+        "open", "pick", "place", "search", "slice", "some", "switch", "that", "them", "these", "they", "this",
+        "those", "turn", "wash", "with", "without", "your",
+    }
+)  # fmt: skip
+"""Words of sentences that are no names of objects, where no list says which names there are."""
+MAX_NAME_WORDS = 3
+"""Longer names are taken for sentences, likewise."""
 _TOKEN = re.compile(r"[^\W\d][\w\-]*|[,()]")
 _FORMULA = re.compile(rf"[!&|]|->|(?<!\w)({'|'.join(RESERVED_WORDS)})(?!\w)")
 
@@ -209,6 +220,13 @@ class _Parser:
 
     def _known(self, what: str, words: list[str], allowed: Collection[str] | None) -> str:
         if allowed is None:
+            said = [word.lower() for word in words]
+            if len(words) > MAX_NAME_WORDS or {*_NO_NAME, *_VERBS} & set(said):
+                raise WordsError(
+                    f"{' '.join(words)!r} cannot be read as {what}; a name has up to {MAX_NAME_WORDS} words, as in "
+                    "'red mug', and a list of objects allows any names",
+                    self.text,
+                )
             return check_names(["_".join(words).replace("-", "_")])[0]
         wanted = name_to_text(" ".join(words))
         names = {name: name_to_text(name) for name in sorted(allowed)}

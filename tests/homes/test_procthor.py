@@ -62,6 +62,12 @@ def test_types_come_from_ids_and_sizes_from_the_catalogue_without_an_asset_datab
     assert [c.room_id for c in home.containers] == ["room|2", "room|2", "room|3"]
 
 
+def test_ids_of_asset_groups_name_the_type_without_their_number(two_room_house, two_room_assets):
+    child = {"id": "Mug_3|2|0|1", "assetId": "Mug_Made_Up_3"}
+    two_room_house["objects"][0]["children"] = [two_room_house["objects"][0]["children"][0] | child | {"children": []}]
+    assert parse_house(two_room_house, two_room_assets, "file", 0).containers[0].objects == ("Mug",)
+
+
 def test_identity_is_content_not_source(two_room_house, two_room_assets):
     first = parse_house(two_room_house, two_room_assets, "a", 0)
     assert first.id == parse_house(two_room_house, two_room_assets, "b", 5).id

@@ -184,3 +184,25 @@ def test_any_text_is_a_task_or_refused(words):
     except ValueError:
         return
     build_automaton(read.formula, read.propositions)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "avoid the red room",
+        "slice the apple",
+        "put all mugs on the desk",
+        "take the coke from the kitchen to the desk",
+        "find the mug and bring it to the desk",
+        "open the fridge and mug",
+        "very small old red mug",
+    ],
+)
+def test_without_a_list_of_objects_sentences_are_no_names(text):
+    with pytest.raises(WordsError, match="cannot be read as an object; a name has up to 3 words, as in 'red mug'"):
+        read_task(text)
+
+
+def test_names_of_few_words_need_no_list():
+    assert read_task("the red mug, then my_open_box").propositions == ("red_mug", "my_open_box")
+    assert read_task("open box", ["OpenBox"]).propositions == ("OpenBox",)
