@@ -40,8 +40,7 @@ def use_kernel_cache() -> Path:
 
 
 def hash_folders(*folders: str, root: Path = ROOT) -> str:
-    """Return 16 hex digits that hash all code and data files in the folders (``mrtask/homes``, ...), by path and
-    content.
+    """Return 16 hex digits that hash all code and data files in the folders (``mrtask/homes``), by path and content.
 
     Raises:
         FileNotFoundError: a folder is missing or contains no such file.

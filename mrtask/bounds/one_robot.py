@@ -152,7 +152,7 @@ class Table:
         kernel.solve_simplified(self.search, value)
         self._value, self._cost_s = value, np.zeros((*shape, len(places) + 1))
         self.penalty_s = np.zeros((*shape, len(hidden)))
-        """[2^n, Z, n] what the search of a container is charged in the world solved last, by those searched before."""
+        """[2^n, Z, n] the penalty for searching a container in the world solved last, by the set searched before."""
 
     def solve(self, world: Bools) -> float:
         """Return the least penalised makespan in a world [C, O]."""

@@ -32,7 +32,7 @@ class Search(NamedTuple):
     nearer_only: bool  # whether every advancing letter leads nearer to acceptance
     known_mask: int  # mask of the objects that some place is known to hold
     waiting_mask: int  # mask of the objects that may have to wait for their turn
-    stride: Ints  # [O] weight of an object's digit in L, 0 for objects without one
+    stride: Ints  # [O] weight of an object's digit in L, 0 for an object without a digit
     locations: int  # number of values of L
     search_time_s: float
     interact_time_s: float
@@ -66,7 +66,7 @@ def _settled_state(search: Search, z: int, held: int) -> int:
 def _value_after(search: Search, value: Floats, searched: int, z: int, settled: int, locations: int, c: int) -> float:
     """Return `value` once the robot, at c, has done what leads from state z to ``settled``.
 
-    Every letter takes one step there.
+    Each letter on that way is one step nearer to acceptance.
     """
     letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
     if search.accepting[settled]:
@@ -132,10 +132,10 @@ def _locations_valid(search: Search, searched: int, locations: int) -> bool:
 
 @compiled
 def solve_simplified(search: Search, value: Floats) -> None:
-    """Fill ``value`` [2^n, Z, L, P] with the least expected time to go if one copy of each waiting object is
-    remembered.
+    """Fill ``value`` [2^n, Z, L, P] with the least expected time to go in the simplified problem.
 
-    Dead ends, to which no world leads, have the value 0.
+    That problem remembers one copy of each object that may have to wait. Dead ends, to which no world leads, have the
+    value 0.
     """
     n, places = search.prob.shape[0], search.known.size
     for searched in range((1 << n) - 1, -1, -1):
@@ -236,11 +236,11 @@ def _penalty_s(search: Search, value: Floats, world: Ints, searched: int, found:
 
 @compiled
 def solve_world(search: Search, value: Floats, world: Ints, cost: Floats, penalty: Floats) -> None:
-    """Solve the penalised problem of a robot that knows the world; ``world`` [n] holds masks of the containers'
-    contents.
+    """Solve the penalised problem of a robot that knows the world.
 
-    Fill ``cost`` [2^n, Z, P + 1] with the least time to go including all later penalties, and ``penalty`` [2^n, Z, n]
-    with the penalty for searching a container after those in S.
+    ``world`` [n] holds masks of the containers' contents. Fill ``cost`` [2^n, Z, P + 1] with the least time to go
+    including all later penalties, and ``penalty`` [2^n, Z, n] with the penalty for searching a container after those in
+    S.
     """
     n, places = search.prob.shape[0], search.known.size
     for searched in range((1 << n) - 1, -1, -1):

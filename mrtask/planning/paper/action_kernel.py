@@ -145,8 +145,10 @@ def set_limits(
 def _rank(
     model: PaperModel, belief: PaperBelief, limits: ActionLimits, node: int, r: int, sought: int, fetched: int
 ) -> None:
-    """Set the likelihood that an action needs to be among the likeliest ones. Of equally likely actions, the first
-    stay."""
+    """Set the likelihood that an action needs to be among the likeliest ones.
+
+    Of equally likely actions, the first ones stay.
+    """
     limit = limits.nodes[node]
     containers, objects = model.prob.shape
     most, count, dropped = limits.ranked.size, 0, False

@@ -1,6 +1,6 @@
-"""The value of the rest of a task at a leaf of `pouct_paper`'s tree.
+"""Estimate the value of the rest of a task at a leaf of `pouct_paper`'s tree.
 
-It is nothing, a bound on the remaining time, or the time of a greedy rollout.
+It is zero, a bound on the remaining time, or the time of a greedy rollout.
 
 Legend: R robots, C containers, O objects. Sets of objects are bit masks.
 """

@@ -138,6 +138,9 @@ def sufficient_sets(automaton: Automaton) -> Ints:
     """Return, for each state, the minimal sets of objects along which advancing steps accept.
 
     They are bit masks, [Z, S], padded with -1.
+
+    Raises:
+        ValueError: a state has more than `MAX_SETS` minimal sets.
     """
     sets: list[set[int]] = [{0} if accepting else set() for accepting in automaton.accepting]
     changed = True
