@@ -22,8 +22,7 @@ LARGE_ABOVE_M2 = 110.0
 
 @dataclass(frozen=True)
 class Room:
-    """A room. ``type`` is one of ProcTHOR's (``Kitchen``, ``LivingRoom``, ``Bedroom``, ``Bathroom``), or free
-    elsewhere."""
+    """A room. ``type`` is ``Kitchen``, ``LivingRoom``, ``Bedroom`` or ``Bathroom`` in ProcTHOR, and free elsewhere."""
 
     id: str
     type: str
