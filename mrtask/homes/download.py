@@ -102,8 +102,8 @@ def fetch(remote: RemoteFile, path: Path, progress: bool = False) -> Path:
     except requests.exceptions.RequestException as error:
         raise DownloadError(f"{path.name}: {_reason(error, remote)}; {_advice(path)}") from error
     except ValueError as error:
-        problem = f"what {remote.url} sent has not the sha256 {remote.sha256}"
-        raise DownloadError(f"{path.name}: {problem}; it was thrown away: try again, or {_advice(path)}") from error
+        problem = f"the file from {remote.url} does not have the sha256 {remote.sha256}"
+        raise DownloadError(f"{path.name}: {problem}; it was deleted: try again, or {_advice(path)}") from error
     except OSError as error:
         problem = f"cannot be written to {path.parent} ({error.strerror or error})"
         raise DownloadError(f"{path.name}: {problem}; {remote.size_bytes} bytes are needed") from error
@@ -153,7 +153,7 @@ def _reason(error: requests.exceptions.RequestException, remote: RemoteFile) -> 
     if error.response is not None:
         return f"{remote.url} answered {error.response.status_code} {error.response.reason}"
     if isinstance(error, requests.exceptions.ChunkedEncodingError):
-        return f"the connection to {remote.url} was cut; the same command goes on from there"
+        return f"the connection to {remote.url} was cut; the same command continues from there"
     return f"{remote.url} cannot be reached (are you offline?)"
 
 

@@ -55,7 +55,7 @@ def read_table(path: Path = BUNDLED_TABLE) -> ReceptacleTable:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise VotesError(f"{path} is no table of receptacles: {error}") from error
+        raise VotesError(f"{path} is not a table of receptacles: {error}") from error
     if wrong := [name for name in raw if name not in SECTIONS]:
         raise VotesError(f"{path}: no section {wrong[0]!r}; allowed: {', '.join(SECTIONS)}")
     for section in SECTIONS:

@@ -31,7 +31,7 @@ def split_homes(
     wanted = train + validation + (test or 0)
     if wanted > len(ranked):
         parts = f"train={train}, validation={validation}, test={'the rest' if test is None else test}"
-        raise ValueError(f"{wanted} homes are asked for ({parts}) but there are only {len(ranked)} distinct ones")
+        raise ValueError(f"{wanted} homes are requested ({parts}), but only {len(ranked)} distinct ones exist")
     end = len(ranked) if test is None else wanted
     return HomeSplit(
         tuple(sorted(ranked[:train])),

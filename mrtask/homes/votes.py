@@ -86,8 +86,8 @@ def read_votes(path: Path, sha256: str | None = None) -> Votes:
         raise VotesError(f"no such file of votes: {path}")
     if sha256 is not None and (found := sha256_of(path)) != sha256:
         raise VotesError(
-            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or data of your own, which are read "
-            "where no checksum is asked for (contents.sha256=null)"
+            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or it is data of your own, which "
+            "are read only without a checksum (contents.sha256=null)"
         )
     content = _unpickle(path)
     if not isinstance(content, Mapping):
@@ -109,7 +109,7 @@ def read_splits(path: Path, sha256: str | None = None) -> dict[str, tuple[str, .
         splits = {name: tuple(object_type(str(entry)) for entry in raw[name]) for name in SPLITS}
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise VotesError(
-            f"{path} is no file of splits ({error}); it must list object names under objects: {', '.join(SPLITS)}"
+            f"{path} is not a file of splits ({error}); it must list object names under objects: {', '.join(SPLITS)}"
         ) from error
     names = [name for split in splits.values() for name in split]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -152,7 +152,9 @@ def _checked(path: Path, content: Mapping[str, Any]) -> Votes:
     types = [object_type(name) for name in objects]
     for name, kind in zip(objects, types, strict=True):
         if not kind.isidentifier():
-            raise VotesError(f"{path}: {name!r} is no object name; letters, digits and _ are allowed, a letter first")
+            raise VotesError(
+                f"{path}: {name!r} is not an object name; letters, digits and _ are allowed, a letter first"
+            )
         if types.count(kind) > 1:
             raise VotesError(f"{path}: two objects are called {name!r}; give each a name of its own")
     without = np.flatnonzero((ranks <= 0).all(axis=(0, 2)))
@@ -175,7 +177,7 @@ def _unpickle(path: Path) -> object:
     except pickle.UnpicklingError as error:
         raise VotesError(f"{path} is not read: {error}") from error
     except (OSError, ValueError, EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
-        raise VotesError(f"{path} is damaged or no file of votes ({error})") from error
+        raise VotesError(f"{path} is damaged or not a file of votes ({error})") from error
     return content.item() if isinstance(content, np.ndarray) and content.shape == () else content
 
 

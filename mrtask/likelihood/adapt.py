@@ -136,7 +136,9 @@ def _by_cell(
     found: defaultdict[Cell, dict[int, bool]] = defaultdict(dict)
     for sighting in sightings:
         if sighting.object not in column or sighting.task >= task:
-            raise ValueError(f"{sighting} is of no object among {', '.join(objects)}, or of no task before {task}")
+            raise ValueError(
+                f"{sighting} is about none of the objects {', '.join(objects)}, or about no task before {task}"
+            )
         history = found[sighting.container, column[sighting.object]]
         if history.setdefault(sighting.task, sighting.present) != sighting.present:
             raise ValueError(f"{sighting} contradicts another of the same task")

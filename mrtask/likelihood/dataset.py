@@ -145,7 +145,7 @@ def read_manifest(folder: Path) -> Manifest:
         raw["split"] = {name: tuple(ids) for name, ids in raw["split"].items()}
         return Manifest(**raw)
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise DatasetError(f"{path} is no dataset manifest ({error}): delete the folder and rebuild it") from error
+        raise DatasetError(f"{path} is not a dataset manifest ({error}): delete the folder and rebuild it") from error
 
 
 def read_dataset(folder: Path) -> Dataset:
@@ -217,7 +217,7 @@ def _checked(rows: pd.DataFrame) -> pd.DataFrame:
     try:
         return ROW_SCHEMA.validate(rows)
     except pa.errors.SchemaError as error:
-        raise DatasetError(f"the dataset's rows break their schema: {error}") from error
+        raise DatasetError(f"the dataset's rows do not match their schema: {error}") from error
 
 
 def _content_hash(rows: pd.DataFrame) -> str:

@@ -108,7 +108,8 @@ def score_unseen(
     """Return metrics on the test homes for names never seen.
 
     A model trained without a fold's names predicts them. ``triples`` are those of each split, and ``column`` is
-    ``object`` or ``container``. A name's hash decides its fold, which is the same for every model.
+    ``object`` or ``container``. Names are dealt to the folds in the order of their hashes, so that the folds are the
+    same for every model.
     """
     train, validation, test = (triples[split] for split in SPLITS)
     fold_of = {

@@ -112,7 +112,7 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
         if not rooms_with(catalogue, entry.type):
             known = sorted({kind for containers in catalogue.objects.values() for kind in containers})
             problem = (
-                f"what a {entry.type} holds is not known; choose one of {', '.join(known)}, "
+                f"the contents of a {entry.type} are not known; choose one of {', '.join(known)}, "
                 "or list the objects of the containers"
             )
             raise containers_file.error(("containers", index, "type"), problem)

@@ -97,7 +97,7 @@ def draw_worlds(belief: Belief, count: int, rng: np.random.Generator) -> Bools:
     lost = ~belief.found & (nowhere >= 1.0)
     if lost.any():
         names = ", ".join(np.array(belief.automaton.propositions)[lost])
-        raise ValueError(f"no container that is left can hold {names}: the belief has no world")
+        raise ValueError(f"no unsearched container can hold {names}: no world is possible under the belief")
     worlds = np.repeat(belief.known[None], count, axis=0)
     exists = np.repeat(belief.found[None], count, axis=0)
     for container in np.flatnonzero(belief.unsearched):

@@ -33,7 +33,7 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
     """
     objects = problem.presence_prob.shape[1]
     if objects > MAX_OBJECTS:
-        raise ValueError(f"planners by search handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
+        raise ValueError(f"search planners handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     reachable = np.isfinite(np.array([robot.travel_s for robot in problem.robots])).any(axis=0)
     prob = np.ascontiguousarray(np.clip(problem.presence_prob, MIN_PROB, 1.0 - MIN_PROB))

@@ -61,8 +61,8 @@ class Automaton:
     @cached_property
     def includes(self) -> Bools:
         """Return ``[Z, Z]``: ``includes[a, b]`` if every word that finishes the task from ``b`` does so from ``a``."""
-        # The greatest fixed point over the letters, from a necessary condition that leaves few pairs. It works
-        # rows, since lists of all pairs would take far more memory than the result.
+        # The greatest fixed point over the letters, from a necessary condition that leaves few pairs. It works in
+        # blocks of rows, because lists of all pairs would take far more memory than the result.
         steps = self.steps_to_accept
         includes = steps[:, None] <= steps[None, :]
         shrunk = True

@@ -84,7 +84,7 @@ class Comparison:
     """The p-value of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
     only_planner: int
     only_baseline: int
-    """The trials that only one of the two finished, which are outside the comparison."""
+    """The number of trials that only this one of the two finished; they are outside the comparison."""
 
 
 @dataclass(frozen=True)

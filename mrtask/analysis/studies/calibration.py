@@ -73,8 +73,10 @@ class Calibration:
 
 
 def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibration:
-    """Return the calibration of `beliefs_of`'s beliefs; ``home_of`` maps a trial to the home that is resampled as a
-    whole."""
+    """Return the calibration of `beliefs_of`'s beliefs.
+
+    ``home_of`` maps each trial to its home; homes are resampled as a whole.
+    """
     counts = pd.DataFrame({"positives": beliefs["held"].astype(float), "count": 1.0})
     probs = beliefs["prob"].to_numpy()
     losses = {name: mean_loss(beliefs, name, home_of) for name in LOSSES}
@@ -87,8 +89,7 @@ def mean_loss(beliefs: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> E
 
 
 def change(after: pd.DataFrame, before: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
-    """Return by how much the mean loss ``name`` differs between two beliefs about the same pairs: negative is
-    better."""
+    """Return by how much the mean loss ``name`` differs between two beliefs about the same pairs; less is better."""
     difference = _with_losses(after)[name].to_numpy() - _with_losses(before)[name].to_numpy()
     return _mean(before.assign(**{name: difference}), name, home_of)
 

@@ -99,7 +99,7 @@ class PriorStudy:
         return self.find(contents, TRUTH) or self.find(contents, contents)
 
     def pairs(self, contents: str) -> Iterator[tuple[ArmRows, ArmRows]]:
-        """Return each prior with adapting and without."""
+        """Yield each prior with adapting and without."""
         for arm in self.of_contents(contents):
             if arm.adapts and (without := self.find(contents, arm.prior)) is not None:
                 yield arm, without

@@ -13,8 +13,7 @@ MIN_SHOWN_PROB = 1e-3
 
 
 def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | None = None) -> Figure:
-    """Draw training and validation log loss by epoch, with the frequency table's on the validation homes for
-    reference."""
+    """Draw training and validation log loss by epoch, and the frequency table's validation loss for reference."""
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.subplots()
     epochs = [entry["epoch"] for entry in history]
