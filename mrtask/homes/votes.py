@@ -86,7 +86,7 @@ def read_votes(path: Path, sha256: str | None = None) -> Votes:
         raise VotesError(f"no such file of votes: {path}")
     if sha256 is not None and (found := sha256_of(path)) != sha256:
         raise VotesError(
-            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or it is data of your own, which "
+            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or data of your own, which "
             "are read only without a checksum (contents.sha256=null)"
         )
     content = _unpickle(path)
