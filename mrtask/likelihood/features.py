@@ -30,7 +30,7 @@ class NameFeatures:
 
     @property
     def width(self) -> int:
-        """The length of a row."""
+        """Return the length of a row."""
         return sum(part.shape[1] for part in self.vectors)
 
     def rows(self) -> NDArray[np.float32]:

@@ -35,7 +35,7 @@ class FrequencyModel:
 
     @property
     def kind(self) -> str:
-        """``frequency``."""
+        """Return ``frequency``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:

@@ -24,7 +24,7 @@ class FunctionModel:
 
     @property
     def kind(self) -> str:
-        """``function``."""
+        """Return ``function``."""
         return "function"
 
     def predict(self, names: pd.DataFrame) -> Floats:

@@ -31,7 +31,7 @@ class LogisticModel:
 
     @property
     def kind(self) -> str:
-        """``logistic``."""
+        """Return ``logistic``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:

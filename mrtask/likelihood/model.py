@@ -30,7 +30,7 @@ class LikelihoodModel(Protocol):
 
     @property
     def kind(self) -> str:
-        """Its name in `mrtask.likelihood.kinds.KINDS`."""
+        """Return the model's name in `mrtask.likelihood.kinds.KINDS`."""
         ...
 
     def predict(self, names: pd.DataFrame) -> Floats:

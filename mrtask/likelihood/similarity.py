@@ -53,7 +53,7 @@ class SimilarityModel:
 
     @property
     def kind(self) -> str:
-        """``similarity``."""
+        """Return ``similarity``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:

@@ -44,14 +44,14 @@ class Automaton:
 
     @cached_property
     def advancing(self) -> Bools:
-        """``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
+        """Return ``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
         itself = np.arange(len(self.transitions))[:, None]
         advancing: Bools = (self.transitions != itself) & (self.transitions != self.sink)
         return advancing
 
     @cached_property
     def steps_to_accept(self) -> Int32s:
-        """``[Z]``: the least number of letters to an accepting state, ``NEVER_ACCEPTS`` for the sink."""
+        """Return ``[Z]``: the least number of letters to an accepting state, or ``NEVER_ACCEPTS`` for the sink."""
         return _steps_to_accept(self.transitions, self.accepting)
 
     def steps_with(self, available: Bools) -> Int32s:
