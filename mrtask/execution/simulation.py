@@ -120,7 +120,7 @@ class Simulation:
         return self.team.missing()
 
     def _process_instant(self) -> bool:
-        """Settle everything that is due now, and return whether that frees a robot."""
+        """Settle everything that is due now, and return whether a robot is free afterwards."""
         acted = [robot for robot in self.team.robots if robot.act.until_s <= self.time_s + SAME_INSTANT_S]
         for robot in acted:
             if robot.moving:

@@ -18,7 +18,7 @@ AUTOMATON = 0
 STATE = np.dtype(
     [
         ("advancing", np.int64),  # mask
-        ("worth", np.int64),  # mask: advancing, unless the task only returns to this state
+        ("worth", np.int64),  # mask: advancing, and the task can finish without returning to this state
         ("nearer", np.int64),  # mask: advancing, and either safe or one interaction nearer to acceptance
         ("safe", np.int64),  # mask: interactions taken without a decision
         ("needed", np.int64),  # mask: advancing now or later
