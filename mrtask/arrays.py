@@ -1,4 +1,4 @@
-"""The types of arrays that the library's signatures name; docstrings give the shapes."""
+"""The array types that the library's signatures name. Docstrings give the shapes."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""The base class of every mistake that a user can correct, and the exit codes that all commands share."""
+"""The base class of all mistakes that a user can correct, and the exit codes that all commands share."""
 
 import sys
 
@@ -7,9 +7,10 @@ INTERRUPT_EXIT = 130
 
 
 class InputError(ValueError):
-    """A wrong file, name, formula, option or machine. The message says what is wrong, what is allowed, what to change.
+    """A wrong file, name, formula, option or machine.
 
-    A program shows it without a traceback; every other exception is a bug.
+    The message says what is wrong, what is allowed and what to change. A program shows it without a traceback; every
+    other exception is a bug.
     """
 
 

@@ -1,4 +1,4 @@
-"""Names and numbers in words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
+"""Put names and numbers into words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
 
 import re
 import unicodedata
@@ -8,9 +8,9 @@ _SEPARATORS = re.compile(r"[\s_\-]+")
 
 
 def name_to_text(name: str) -> str:
-    """The words of a name: ``RemoteControl`` -> ``remote control``, ``TVStand`` -> ``tv stand``.
+    """Return the words of a name: ``RemoteControl`` -> ``remote control``, ``TVStand`` -> ``tv stand``.
 
-    Defined for every string: lone surrogates become ``?``, other scripts stay; an empty name stays empty.
+    Every string is allowed: lone surrogates become ``?``, other scripts stay, and an empty name stays empty.
     """
     if not isinstance(name, str):
         raise TypeError(f"a name must be a string, got {name!r} of type {type(name).__name__}")
@@ -19,5 +19,5 @@ def name_to_text(name: str) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 robot``, ``2 robots``."""
+    """Return a number with its noun: ``1 robot``, ``2 robots``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,8 +1,8 @@
-"""Which of the library's own files decide a result, and a hash of them: other code, other hash.
+"""Which of the library's own files decide a result, and a hash of them: different code has a different hash.
 
-What is kept for later (maps, homes, rows) is named by such a hash, so it is never taken for what the present code would
-make, and code that it does not depend on (drawing, say) can change freely. Only this package's files count: neither
-Python's version nor those of other packages.
+Everything that is kept for later (maps, homes, rows) is named by such a hash. It is therefore never mistaken for a
+result of the present code, and code on which it does not depend (such as drawing) can change freely. Only this
+package's files count, not Python's version or other packages.
 """
 
 import ast
@@ -16,33 +16,34 @@ from typing import Any
 from mrtask.files import default_cache_dir
 
 ROOT = Path(__file__).resolve().parents[1]
-"""The folder that holds the package."""
+"""The folder that contains the package."""
 SUFFIXES = frozenset({".py", ".yaml", ".toml", ".json", ".csv", ".jinja"})
 
 KERNEL_SOURCES = ("mrtask/maps", "mrtask/planning", "mrtask/bounds")
-"""The packages that hold compiled kernels."""
+"""The packages that contain compiled kernels."""
 
 
 @cache
 def use_kernel_cache() -> Path:
     """Set numba's cache folder to one named after the hash of the packages that hold kernels, and return it.
 
-    numba does not notice when a function that a cached kernel calls was edited in another file. Every module that
-    declares kernels calls this first. The folder lies in ``$NUMBA_CACHE_DIR``, or else in our own cache folder.
+    When a function that a cached kernel calls is edited in another file, numba does not notice. Every module that
+    declares kernels therefore calls this function first. The folder is in ``$NUMBA_CACHE_DIR``, or else in our own
+    cache folder.
     """
     import numba.core.config
 
-    config: Any = numba.core.config  # its settings are made when it is imported
+    config: Any = numba.core.config  # numba sets its options on import
     folder = Path(config.CACHE_DIR or default_cache_dir() / "numba") / hash_folders(*KERNEL_SOURCES)
     config.CACHE_DIR = str(folder)
     return folder
 
 
 def hash_folders(*folders: str, root: Path = ROOT) -> str:
-    """16 hex digits of all code and data files below the folders (``mrtask/homes``, ...), by path and content.
+    """Return 16 hex digits that hash all code and data files in the folders (``mrtask/homes``), by path and content.
 
     Raises:
-        FileNotFoundError: a folder is missing or holds no such file.
+        FileNotFoundError: a folder is missing or contains no such file.
     """
     files: set[Path] = set()
     for folder in folders:
@@ -54,15 +55,15 @@ def hash_folders(*folders: str, root: Path = ROOT) -> str:
 
 
 def hash_module(module: str, root: Path = ROOT) -> str:
-    """16 hex digits of `module_files`, by path and content."""
+    """Return 16 hex digits that hash the `module_files`, by path and content."""
     return _hash(module_files(module, root), root)
 
 
 def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
-    """The files that decide what a module (``mrtask.maps.home_map``) does.
+    """Return the files that decide what a module (``mrtask.maps.home_map``) does.
 
-    These are its own and those of all modules of the same package that it imports, directly or through others. A data
-    file that has a module's name (``catalogue.yaml`` of ``catalogue.py``) belongs to it.
+    These are its own files and those of all modules of the same package that it imports, directly or through others. A
+    data file named after a module (``catalogue.yaml`` of ``catalogue.py``) belongs to it.
 
     Raises:
         ModuleNotFoundError: there is no such module below ``root``.
@@ -86,14 +87,17 @@ def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
 
 
 def _file_of(module: str, root: Path) -> Path | None:
-    """The file of a module or package; None for a name that is neither (a class, another distribution's)."""
+    """Return the file of a module or package, or None for another name (a class, another distribution's module)."""
     base = root.joinpath(*module.split("."))
     return next((path for path in (base.with_suffix(".py"), base / "__init__.py") if path.is_file()), None)
 
 
 @cache
 def _imports(code: bytes, package: str) -> frozenset[str]:
-    """The names imported anywhere in a file; for ``from a import b`` both ``a`` and ``a.b``, which may be a module."""
+    """Return the names imported anywhere in a file.
+
+    For ``from a import b`` they include both ``a`` and ``a.b``, which may be a module.
+    """
     names: set[str] = set()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
@@ -105,7 +109,7 @@ def _imports(code: bytes, package: str) -> frozenset[str]:
 
 
 def _with_parents(module: str) -> Iterator[str]:
-    """``a.b.c``, ``a.b`` and ``a``: importing the first runs them all."""
+    """Yield ``a.b.c``, ``a.b`` and ``a``: importing the first runs them all."""
     while module:
         yield module
         module = module.rpartition(".")[0]

@@ -1,4 +1,4 @@
-"""Headless Chromium for tests of pages: Debian's, never a downloaded one. Where there is none, tests are skipped."""
+"""Headless Chromium for tests of pages: Debian's, never a downloaded one. Without it, tests are skipped."""
 
 import shutil
 from collections.abc import Iterator

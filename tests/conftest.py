@@ -114,7 +114,7 @@ def homes_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def shared_homes() -> Path:
-    """The folder of real ProcTHOR homes beside the repository; the test is skipped where there is none."""
+    """The folder of real ProcTHOR homes beside the repository; the test is skipped if the folder does not exist."""
     if not SHARED_HOMES.is_dir():
         pytest.skip("needs the real ProcTHOR homes beside the repository")
     return SHARED_HOMES

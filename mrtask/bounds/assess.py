@@ -1,8 +1,8 @@
 """Compare a planner with the lower bound in one trial, both under the trial's belief.
 
-The bound holds for the expected cost over the worlds that are possible under the belief. So the planner does not run on
-the home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief. The bound is
-evaluated on the same worlds.
+The bound holds for the expected cost over the worlds that are possible under the belief. The planner therefore does not
+run on the home's true contents, of which the likelihood model knows little, but on worlds drawn from the belief. The
+bound is evaluated on the same worlds.
 """
 
 from dataclasses import replace
@@ -34,14 +34,14 @@ def assess(
     worlds: int,
     name: str | None = None,
 ) -> dict[str, Any]:
-    """Return one trial's row: means over ``worlds`` worlds of the planner's cost and both bounds, in s.
+    """Return one trial's row: means over ``worlds`` worlds of the planner's cost and of both bounds, in s.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
-        name: the planner's name; None: its name among ours, or its import path.
+        name: the planner's name. With None, it is its name among ours, or its import path.
 
     Raises:
-        ValueError: a belief that has no world.
+        ValueError: no world is possible under the belief.
     """
     automaton = build_automaton(trial.formula, trial.objects)
     nothing = np.zeros(likelihood.shape, dtype=bool)
@@ -84,7 +84,7 @@ def assess(
 
 
 def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMade]:
-    """Return the first robot's searches, with the task's state at each; for a team of one."""
+    """Return the searches of a one-robot team, with the task's state at each."""
     number = {container.id: index for index, container in enumerate(home.containers)}
     state, searches = automaton.initial, []
     for leg in trace.robots[0]:
@@ -96,7 +96,7 @@ def searches_of(trace: Trace, home: Home, automaton: Automaton) -> list[SearchMa
 
 
 def home_with(home: Home, objects: tuple[str, ...], world: Bools) -> Home:
-    """Return the home with the task's objects where ``world`` [C, O] has them and nowhere else."""
+    """Return the home with the task's objects where ``world`` [C, O] places them, and nowhere else."""
     containers = []
     for container, held in zip(home.containers, world, strict=True):
         others = [name for name in container.objects if name not in objects]

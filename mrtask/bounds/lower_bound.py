@@ -1,4 +1,7 @@
-"""The lower bound of a decision problem, by whichever way suits the team, with the clairvoyant one beside it."""
+"""Compute the lower bound of a decision problem, and the clairvoyant bound beside it.
+
+The size of the team decides the method.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,31 +18,31 @@ from mrtask.planning.problem import PlanningProblem
 from mrtask.planning.solver_belief import belief_of, draw_worlds
 
 PILOT_WORLDS = 30
-"""By which the bound for a team chooses among its curves."""
+"""The number of worlds on which the bound for a team chooses among its curves."""
 
 
 class BoundKind(StrEnum):
-    """How a bound came about."""
+    """The method that gave a bound."""
 
     EXACT = "exact"
     """One robot: the mean is the optimum itself, up to the sampling of worlds."""
     PENALISED = "penalised"
     """One robot: information relaxation with penalties."""
     TEAM = "team"
-    """Several robots: what a team can search in a given time."""
+    """Several robots: a limit on what a team can search in a given time."""
 
 
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """For K worlds drawn from the belief, values whose expectations bound every planner's expected makespan."""
+    """Values for K worlds drawn from the belief, whose expectations bound every planner's expected makespan."""
 
     values_s: Floats
-    """[K] of the tighter bound."""
+    """[K] values of the tighter bound."""
     clairvoyant_s: Floats
-    """[K] the makespan of a team that knows the world."""
+    """[K] makespans of a team that knows the world."""
     kind: BoundKind
     seconds: float
-    """CPU time that it took to compute."""
+    """The CPU time of the computation."""
 
 
 def lower_bound(
@@ -48,12 +51,12 @@ def lower_bound(
     rng: np.random.Generator,
     runs: Sequence[Sequence[SearchMade]] | None = None,
 ) -> LowerBound:
-    """The bound in ``worlds`` [K, C, O], drawn by `draw_worlds` from the problem's own belief.
+    """Return the bound in ``worlds`` [K, C, O], which `draw_worlds` must have drawn from the problem's own belief.
 
     Args:
-        rng: for worlds of the bound's own.
-        runs: the searches in each world of a planner that the bound will be compared with. For one robot its values
-            then vary with the planner's costs, at the same mean.
+        rng: draws further worlds, which only the bound uses.
+        runs: in each world, the searches of a planner with which the bound will be compared. For one robot, the bound's
+        values then vary with the planner's costs, at the same mean.
 
     Raises:
         ValueError: a robot is busy.

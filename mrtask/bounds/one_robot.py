@@ -1,36 +1,37 @@
-"""A lower bound for one robot by information relaxation with penalties (Brown, Smith and Sun 2010, Operations
-Research).
+"""A lower bound for one robot by information relaxation with penalties.
 
-**The bound.** A planner decides on what it has seen: it is non-anticipative. Whoever knows the world in advance can
-do what the planner does, and better; this makes the clairvoyant makespan a lower bound, but a loose one, since it
-never pays for looking in vain. So each search is charged a *penalty*,
+Source: Brown, Smith and Sun 2010, Operations Research.
+
+**The bound.** A planner decides on what it has seen: it is non-anticipative. A robot that knows the world in advance
+can do what the planner does, and better. The clairvoyant makespan is therefore a lower bound, but a loose one, because
+such a robot never has to search in vain. So each search is charged a *penalty*,
 
     E[v(what is known after the search) | what is known before] - v(what is known after it, in this world),
 
 for some function v of what is known. Given the past, a penalty has mean zero over what the search may find, whatever
-led to that search; so all penalties of a run together have mean zero under every non-anticipative policy (a sum of
-martingale differences, no more of them than containers), and its mean makespan equals its mean penalised makespan.
-World by world that is at least the least penalised makespan of a robot that knows the world. Hence the mean of the
-latter over worlds, which `one_robot_values_s` returns one by one, is a lower bound for every v. If v is the true
-expected time to go, the bound is the optimum, and the same in every world; penalties for finding nothing are then
-what makes foreknowledge worthless.
+led to that search. All penalties of a run together therefore have mean zero under every non-anticipative policy (they
+are a sum of martingale differences, at most one per container), and a policy's mean makespan equals its mean penalised
+makespan. In each world, the penalised makespan is at least the least penalised makespan of a robot that knows the
+world; `one_robot_bound` returns the latter world by world. Its mean over worlds is thus a lower bound for every v. If v
+is the true expected time to go, the bound is the optimum, and the same in every world: the penalties for finding
+nothing then make foreknowledge worthless.
 
-**The inner problem.** What a robot knows follows from the world and the set S of containers that it has searched.
-So the least penalised makespan is found by dynamic programming over (S, automaton state, place), exactly.
+**The inner problem.** What a robot knows follows from the world and from the set S of containers that it has searched.
+Dynamic programming over (S, automaton state, place) therefore finds the least penalised makespan exactly.
 
-**The function v** is the optimal time to go in a simplified problem, found by dynamic programming too. An object
-that can be interacted with at once wherever it is found, for good, needs no memory. Of an object that may have to
-wait for its turn, the place of one copy is remembered. If no object of the task may have to wait, v is exact, and
-so is the bound.
+**The function v** is the optimal time to go in a simplified problem, which dynamic programming solves too. An object
+with which the robot can interact for good as soon as it finds it needs no memory. For an object that may have to wait
+for its turn, the simplified problem remembers the place of one copy. If no object of the task may have to wait, v is
+exact, and so is the bound.
 
-**A planner's own penalties.** Given the searches of a planner in each world, the penalties that it was charged
-itself are taken from the bound's values. That leaves their mean as it is, and makes the planner's cost at least the
-value, world by world: the two vary together, so that few worlds tell how far apart their means are.
+**A planner's own penalties.** If the searches of a planner in each world are given, the penalties that it was charged
+are subtracted from the bound's values. This leaves their mean unchanged and keeps each value at or below the planner's
+cost in that world. The two vary together, so that a few worlds show how far apart their means are.
 
-**Too many containers** for sets are dealt with by one more relaxation: of all but the n most promising containers, the
-contents are revealed at the start, to the planner too. More knowledge never makes the optimum worse, so the mean over
-what is revealed, of a lower bound for the problem that is left, is a lower bound. Containers that turn out useless are
-left out; those with something needed become known places.
+**Too many containers.** If the sets of containers become too many, one more relaxation helps: the contents of all but
+the n most promising containers are revealed at the start, to the planner too. More knowledge never makes the optimum
+worse, so the mean, over what is revealed, of a lower bound for the remaining problem is itself a lower bound.
+Containers that turn out useless are left out; those that hold something needed become known places.
 """
 
 from collections.abc import Sequence
@@ -45,15 +46,15 @@ from mrtask.bounds import one_robot_kernel as kernel
 from mrtask.planning.solver_belief import Belief
 
 MAX_TABLE_WORK = 6e8
-"""Elementary steps for a table of v, by a rough count: less than a second."""
+"""The elementary steps, roughly counted, for a table of v: less than a second."""
 MAX_WORLD_WORK = 1e8
-"""Elementary steps for each world: a fifth of a second."""
+"""The elementary steps for each world: a fifth of a second."""
 MAX_ENTRIES = 2e7
-"""Of the table of v: 160 MB."""
+"""The entries of the table of v: 160 MB."""
 
 
 class SearchMade(NamedTuple):
-    """A search of a run: the container, and the automaton's state at that time."""
+    """One search of a run: the container, and the automaton's state at that time."""
 
     container: int
     state: int
@@ -64,21 +65,22 @@ class OneRobotBound:
     """The least penalised makespan in each of K worlds; their mean is the bound."""
 
     values_s: Floats
-    """[K], less the penalties of the planner's own run where runs are given."""
+    """[K] values, less the penalties of the planner's own run if runs are given."""
     exact: bool
     """Whether the mean over all worlds is the optimum itself.
 
-    It is where no object may have to wait, none that is needed was found before, and nothing was revealed."""
+    This is so if no object may have to wait, no needed object was found before, and nothing was revealed.
+    """
 
 
 def one_robot_bound(belief: Belief, worlds: Bools, runs: Sequence[Sequence[SearchMade]] | None = None) -> OneRobotBound:
-    """The bound for a team of one in ``worlds`` [K, C, O].
+    """Return the bound for a team of one in ``worlds`` [K, C, O].
 
     Args:
-        runs: a planner's searches in each world, in their order.
+        runs: a planner's searches in each world, in the order in which it made them.
 
     Raises:
-        ValueError: more robots than one.
+        ValueError: the team has more than one robot.
     """
     if belief.robots != 1:
         raise ValueError(f"this bound is for one robot, not for {belief.robots}")
@@ -109,7 +111,7 @@ class Table:
 
     Args:
         hidden: the n containers whose contents stay hidden.
-        known: [C, O] what all other containers hold.
+        known: [C, O] the contents of all other containers.
     """
 
     def __init__(self, belief: Belief, hidden: NDArray[np.intp], known: Bools) -> None:
@@ -150,15 +152,15 @@ class Table:
         kernel.solve_simplified(self.search, value)
         self._value, self._cost_s = value, np.zeros((*shape, len(places) + 1))
         self.penalty_s = np.zeros((*shape, len(hidden)))
-        """[2^n, Z, n] what the search of a container is charged in the world solved last, by those searched before."""
+        """[2^n, Z, n] the penalty for searching a container in the world solved last, by the set searched before."""
 
     def solve(self, world: Bools) -> float:
-        """The least penalised makespan in a world [C, O]."""
+        """Return the least penalised makespan in a world [C, O]."""
         kernel.solve_world(self.search, self._value, masks(world[self.hidden]), self._cost_s, self.penalty_s)
         return float(self._cost_s[0, self._state, -1])
 
     def paid_s(self, run: Sequence[SearchMade]) -> float:
-        """The penalties that a run is charged in the world solved last."""
+        """Return the sum of the penalties that a run is charged in the world solved last."""
         number = {int(container): index for index, container in enumerate(self.hidden)}
         searched, total_s = 0, 0.0
         for container, state in run:
@@ -169,13 +171,13 @@ class Table:
 
 
 def masks(members: Bools) -> Ints:
-    """[...] bit masks of the last axis."""
+    """Return the bit masks [...] of the last axis."""
     weights = np.int64(1) << np.arange(members.shape[-1], dtype=np.int64)
     return np.asarray((members * weights).sum(axis=-1), dtype=np.int64)
 
 
 def _by_promise(belief: Belief) -> NDArray[np.intp]:
-    """The unsearched containers, those where objects that are still needed are likeliest first."""
+    """Return the unsearched containers, starting with those likeliest to hold objects that are still needed."""
     exists = np.where(belief.found, 1.0, 1.0 - belief.nowhere_prob)
     promise = (belief.prob / np.maximum(exists, belief.prob.max(axis=0)))[:, belief.needed[belief.state]].sum(axis=1)
     ranked = np.argsort(-promise, kind="stable")
@@ -183,7 +185,7 @@ def _by_promise(belief: Belief) -> NDArray[np.intp]:
 
 
 def _affordable(belief: Belief, containers: int) -> int:
-    """How many containers may stay hidden."""
+    """Return how many containers may stay hidden."""
     while containers > 1 and not _is_affordable(belief, containers):
         containers -= 1
     return containers
@@ -201,7 +203,7 @@ def _is_affordable(belief: Belief, containers: int) -> bool:
 
 
 def _waiting(belief: Belief) -> Bools:
-    """[O] the objects that may be found at a time when they should not be interacted with at once."""
+    """Return the objects [O] that may be found at a time when the robot should not interact with them at once."""
     automaton = belief.automaton
     steps = automaton.steps_to_accept
     at_once = belief.safe & (steps[automaton.transitions] < steps[:, None])
@@ -209,14 +211,14 @@ def _waiting(belief: Belief) -> Bools:
 
 
 def _only_nearer(belief: Belief) -> bool:
-    """Whether every interaction that advances the task leads nearer to acceptance."""
+    """Return whether every interaction that advances the task leads nearer to acceptance."""
     steps = belief.automaton.steps_to_accept
     nearer = steps[belief.automaton.transitions] < steps[:, None]
     return bool((nearer | ~belief.automaton.advancing)[_reached(belief)].all())
 
 
 def _reached(belief: Belief) -> list[int]:
-    """The states that may come, the present one first."""
+    """Return the states that may come, starting with the present one."""
     automaton = belief.automaton
     reached = [belief.state]
     for state in reached:
@@ -226,7 +228,7 @@ def _reached(belief: Belief) -> list[int]:
 
 
 def products(factors: Floats) -> Floats:
-    """[2^n, O] the product of ``factors`` [n, O] over those not in each set."""
+    """Return the product [2^n, O] of ``factors`` [n, O] over the rows that are not in each set."""
     result = np.ones((1, factors.shape[1]))
     for row in factors:
         result = np.concatenate([result * row, result])

@@ -1,9 +1,9 @@
 """The compiled dynamic programmes of `mrtask.bounds.one_robot`.
 
-Legend: n containers to be searched, numbered first among P places; the other places are known to hold something. A
-set S of searched containers and sets of objects are bit masks. O objects, Z automaton states. Objects that may have
-to wait for their turn have a digit in the number L: 0 while nobody has found the object, else 1 + the container
-where it is.
+Legend: n hidden containers, numbered first among P places; the other places are known to hold something. O objects, Z
+automaton states. A set S of searched containers and sets of objects are bit masks. Each object that may have to wait
+for its turn has a digit in the number L: 0 while the robot has not found the object, else 1 + the container that holds
+it.
 """
 
 from typing import NamedTuple
@@ -18,9 +18,9 @@ from mrtask.planning.shared_kernel import NONE
 class Search(NamedTuple):
     """A one-robot search and scratch space for it."""
 
-    travel_s: Floats  # [P + 1, P] the last row from where the robot is
+    travel_s: Floats  # [P + 1, P] the last row starts at the robot's position
     prob: Floats  # [n, O]
-    nowhere: Floats  # [2^n, O] probability that none of the containers outside S holds an object
+    nowhere: Floats  # [2^n, O] probability that no container outside S holds an object
     known: Ints  # [P] mask of the objects that a place is known to hold, 0 for the first n
     transitions: Int32s  # [Z, O]
     accepting: UInt8s  # [Z]
@@ -28,12 +28,12 @@ class Search(NamedTuple):
     safe: Ints  # [Z] mask
     needed: Ints  # [Z] mask
     steps: Int32s  # [Z]
-    order: Int32s  # [Z] the states by steps, without accepting ones and the sink
+    order: Int32s  # [Z] the states in order of steps, without the accepting ones and the sink
     nearer_only: bool  # whether every advancing letter leads nearer to acceptance
-    known_mask: int  # objects that some place is known to hold
-    waiting_mask: int  # objects that may have to wait for their turn
-    stride: Ints  # [O] weight of an object's digit in L, 0 for objects without one
-    locations: int  # how many values L has
+    known_mask: int  # mask of the objects that some place is known to hold
+    waiting_mask: int  # mask of the objects that may have to wait for their turn
+    stride: Ints  # [O] weight of an object's digit in L, 0 for an object without a digit
+    locations: int  # number of values of L
     search_time_s: float
     interact_time_s: float
     relevant: Int32s  # [O] scratch
@@ -47,7 +47,7 @@ def _digit(search: Search, locations: int, obj: int) -> int:
 
 @inlined
 def _settled_state(search: Search, z: int, held: int) -> int:
-    """The state after the harmless interactions with ``held`` that lead nearer to acceptance, nearest first."""
+    """Return the state after the harmless interactions with ``held`` that lead nearer to acceptance, nearest first."""
     objects = search.prob.shape[1]
     while True:
         best = NONE
@@ -64,7 +64,10 @@ def _settled_state(search: Search, z: int, held: int) -> int:
 
 @inlined
 def _value_after(search: Search, value: Floats, searched: int, z: int, settled: int, locations: int, c: int) -> float:
-    """`value` once the robot has done at c what leads from state z to ``settled``; every letter is a step there."""
+    """Return `value` once the robot, at c, has done what leads from state z to ``settled``.
+
+    Each letter on that way is one step nearer to acceptance.
+    """
     letters_s = float(search.interact_time_s * (search.steps[z] - search.steps[settled]))
     if search.accepting[settled]:
         return letters_s
@@ -73,7 +76,7 @@ def _value_after(search: Search, value: Floats, searched: int, z: int, settled: 
 
 @inlined
 def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> int:
-    """Fills ``search.relevant`` with the objects whose presence in a container matters, and returns their number."""
+    """Fill ``search.relevant`` with the objects whose presence in a container matters, and return their number."""
     count = 0
     for obj in range(search.prob.shape[1]):
         if not (search.needed[z] >> obj) & 1:
@@ -89,7 +92,7 @@ def _list_relevant(search: Search, z: int, locations: int, every_copy: bool) -> 
 
 @inlined
 def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) -> float:
-    """That a container holds an object, given what was found in those searched."""
+    """Return the probability that a container holds an object, given what was found in the searched ones."""
     if (found >> obj) & 1:
         return float(search.prob[c, obj])
     return float(min(search.prob[c, obj] / (1.0 - search.nowhere[searched, obj]), 1.0))
@@ -97,7 +100,7 @@ def _presence_prob(search: Search, searched: int, found: int, c: int, obj: int) 
 
 @inlined
 def _expected_s(search: Search, value: Floats, searched: int, z: int, locations: int, c: int) -> float:
-    """The mean of `value` after a search of c in the simplified problem."""
+    """Return the mean of `value` after a search of c in the simplified problem."""
     count = _list_relevant(search, z, locations, False)
     total_s = 0.0
     for bits in range(1 << count):
@@ -129,9 +132,10 @@ def _locations_valid(search: Search, searched: int, locations: int) -> bool:
 
 @compiled
 def solve_simplified(search: Search, value: Floats) -> None:
-    """Fills ``value`` [2^n, Z, L, P]: the least expected time to go if of each waiting object one copy is remembered.
+    """Fill ``value`` [2^n, Z, L, P] with the least expected time to go in the simplified problem.
 
-    Dead ends, which no world leads to, have the value 0.
+    That problem remembers one copy of each object that may have to wait. Dead ends, to which no world leads, have the
+    value 0.
     """
     n, places = search.prob.shape[0], search.known.size
     for searched in range((1 << n) - 1, -1, -1):
@@ -173,10 +177,11 @@ def solve_simplified(search: Search, value: Floats) -> None:
 
 @inlined
 def _guess_s(search: Search, value: Floats, world: Ints, before: int, z: int, c: int, held: int) -> float:
-    """The approximate time to go after the robot, in state z, has found ``held`` in c.
+    """Return the approximate time to go after the robot, in state z, has found ``held`` in c.
 
-    It knows what ``world`` has in the containers searched ``before``. Of an object's known copies that is taken to be
-    remembered which makes the time least, object by object: whatever this is, it is a function of what the robot knows.
+    The robot knows what ``world`` has in the containers searched ``before``. Of an object's known copies, the one that
+    makes the time least counts as remembered, object by object. Whatever the result is, it is a function of what the
+    robot knows.
     """
     n, settled = search.prob.shape[0], _settled_state(search, z, held)
     locations = 0
@@ -203,9 +208,10 @@ def _guess_s(search: Search, value: Floats, world: Ints, before: int, z: int, c:
 
 @inlined
 def _penalty_s(search: Search, value: Floats, world: Ints, searched: int, found: int, z: int, c: int) -> float:
-    """The mean of `_guess_s` over what a search of c may find, less what it is for what ``world`` has there.
+    """Return the mean of `_guess_s` over what a search of c may find, minus its value for what ``world`` has there.
 
-    It takes what could have been done at once to be done: who knows the world gains nothing by leaving it undone.
+    This assumes that the robot did everything that it could do at once: a robot that knows the world gains nothing by
+    leaving it undone.
     """
     z = _settled_state(search, z, found & ~search.waiting_mask)
     if search.accepting[z]:
@@ -230,10 +236,11 @@ def _penalty_s(search: Search, value: Floats, world: Ints, searched: int, found:
 
 @compiled
 def solve_world(search: Search, value: Floats, world: Ints, cost: Floats, penalty: Floats) -> None:
-    """The penalised problem of a robot that knows the world, ``world`` [n] masks of what containers hold.
+    """Solve the penalised problem of a robot that knows the world.
 
-    Fills ``cost`` [2^n, Z, P + 1], the least time to go with all penalties to come, and ``penalty`` [2^n, Z, n] of the
-    search of a container after those in S.
+    ``world`` [n] holds masks of the containers' contents. Fill ``cost`` [2^n, Z, P + 1] with the least time to go
+    including all later penalties, and ``penalty`` [2^n, Z, n] with the penalty for searching a container after those in
+    S.
     """
     n, places = search.prob.shape[0], search.known.size
     for searched in range((1 << n) - 1, -1, -1):

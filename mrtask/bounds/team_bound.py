@@ -1,29 +1,26 @@
-"""A lower bound for teams: a bound on the distribution of the makespan, from how much a team can search in a given
-time.
+"""A lower bound for teams: a bound on the makespan's distribution, from how much a team can search in a given time.
 
-**The bound.** Let G be a set of objects of which every way to finish the task needs at least one (a single
-necessary object, or the two sides of an *or*), none of them found yet. Reveal all other objects, to the planner
-too: more knowledge never makes the optimum worse. What is left to be learned is where objects of G are. Until the
-first of them is found there is only one thing to see, "not here", so what the team does until then is fixed: let
-A(s) be what it would have searched by time s if nothing were found. Consider the worlds in which the task is done
-by time t. Among them, take the one in which the first find comes last, at s. All finds of these worlds are in A(s).
-In that one world the team had searched A(s), and by t it also visited a container of each other object that the
-task needs. So
+**The bound.** Let G be a set of objects of which every way to finish the task needs at least one (a single necessary
+object, or the two sides of an *or*), and let none of them be found yet. Reveal all other objects, to the planner too:
+more knowledge never makes the optimum worse. Only the places of the objects of G are then still to be learned. Until
+the team finds the first of them, it sees nothing but "not here", so its actions until then are fixed: let A(s) be the
+set that it would have searched by time s if it found nothing. Consider the worlds in which the task is done by time t.
+Among them, take the one in which the first find comes last, at s. All finds of these worlds are in A(s). In that one
+world the team had searched A(s), and by t it had also visited a container of each other object that the task needs. So
 
     P(done by t | the other objects) <= F(t) = max P(some object of G is in S),
 
-over the sets S of containers that the team can search by t and that include a container of each other necessary
-object. It is 0 before the clairvoyant makespan of a team that finds G wherever it likes. P(done by t) is also at
-most the share of worlds whose clairvoyant makespan is at most t. The mean makespan is the integral of P(not done by
-t): for every t any of these bounds may be taken, whichever is best, if the choice is not made by the worlds that it
-is evaluated on.
+where the maximum is over the sets S of containers that the team can search by t and that include a container of each
+other necessary object. F is 0 before the clairvoyant makespan of a team that finds G wherever it likes. P(done by t) is
+also at most the share of worlds whose clairvoyant makespan is at most t. The mean makespan is the integral of P(not
+done by t). For every t we may use whichever of these bounds is best, provided that the choice does not depend on the
+worlds on which it is evaluated.
 
-F is over sets of n containers; to search a set takes the team at least as long as its slowest robot's shortest way
-through its share, for the best division. The other containers count as searched as soon as any robot could be
-there.
+F considers sets of n containers. To search a set, the team needs at least the time of its slowest robot's shortest way
+through its share, for the best division. The other containers count as searched as soon as any robot could be there.
 
-**What it leaves out.** With one object of G = {o} hidden at a time, this says nothing about two that are hidden at
-once: it does not use that a team which looks for both in vain must go on for both.
+**What it leaves out.** With one object of G = {o} hidden at a time, the bound says nothing about two that are hidden at
+once: it does not use the fact that a team which looks for both in vain must continue for both.
 """
 
 from collections.abc import Iterator
@@ -39,14 +36,14 @@ from mrtask.planning.clairvoyant import clairvoyant_s
 from mrtask.planning.solver_belief import Belief
 
 MAX_CONTAINERS = 12
-"""In the sets that are searched; a division among the team takes 3^n steps."""
+"""The largest n for the sets that are searched. Dividing one among the team takes 3^n steps."""
 GRID = 1024
-"""Instants at which distributions are compared; between two of them the later, higher value counts."""
+"""The number of instants at which distributions are compared. Between two of them, the later, higher value counts."""
 SAME_TIME_S = 1e-9
 
 
 def team_curves(belief: Belief, worlds: Bools) -> tuple[Floats, Floats]:
-    """Upper bounds on P(done by t) on a grid of instants, one for each kind of bound.
+    """Return upper bounds on P(done by t) on a grid of instants, one for each kind of bound.
 
     Returns:
         The grid [T + 1] from 0, and the curves [B, K, T]: curve b in world k, at the end of each interval of the grid.
@@ -63,25 +60,28 @@ def team_curves(belief: Belief, worlds: Bools) -> tuple[Floats, Floats]:
 
 
 def team_bound(belief: Belief, worlds: Bools, pilot: Bools) -> Floats:
-    """[K] values whose mean over ``worlds`` is the bound; ``pilot`` are other worlds, by which bounds are chosen."""
+    """Return values [K] whose mean over ``worlds`` is the bound.
+
+    The worlds ``pilot`` are others, on which the bounds are chosen.
+    """
     grid_s, curves = team_curves(belief, np.concatenate([pilot, worlds]))
     choice = best_curves(curves[:, : len(pilot)])
     return integrate(grid_s, curves[:, len(pilot) :], choice)
 
 
 def best_curves(curves: Floats, weights: Floats | None = None) -> NDArray[np.intp]:
-    """[T] the curve with the least mean over worlds [B, K, T] at each instant."""
+    """Return, for each instant [T], the curve with the least mean over worlds [B, K, T]."""
     return np.asarray(np.argmin(np.average(curves, axis=1, weights=weights), axis=0))
 
 
 def integrate(grid_s: Floats, curves: Floats, choice: NDArray[np.intp]) -> Floats:
-    """[K] the integral of 1 - P(done by t) with the chosen curve at each instant."""
+    """Return the integral [K] of 1 - P(done by t) with the chosen curve at each instant."""
     chosen = np.take_along_axis(curves, choice[None, None, :], axis=0)[0]
     return np.asarray((1.0 - chosen) @ np.diff(grid_s))
 
 
 class _HiddenGroup:
-    """The bound with the objects of one group hidden."""
+    """The bound if the objects of one group are hidden."""
 
     def __init__(self, belief: Belief, group: frozenset[int]) -> None:
         self._belief, self._group = belief, group
@@ -99,13 +99,13 @@ class _HiddenGroup:
         missed = products(1.0 - prob[self._inside])[::-1]
         left = np.cumprod(np.vstack([np.ones(len(members)), 1.0 - prob[outside][by_time]]), axis=0)
         nowhere = np.prod(1.0 - prob, axis=0)
-        # [Y, 2^n] that none of the group is in a set or in one of the first Y containers outside.
+        # [Y, 2^n] the probability that none of the group is in a set or in one of the first Y containers outside.
         unseen = np.maximum(missed[None] * left[:, None] - nowhere, 0.0) / (1.0 - nowhere)
         self._found_prob = 1.0 - np.prod(unseen, axis=-1)
         self.longest_s = float(max(self._visit_s.max(), self._stages_s[-1])) + belief.interact_time_s
 
     def curve(self, world: Bools, ends_s: Floats) -> Floats:
-        """[T] a bound on P(done by t) given all but the group's objects in a world [C, O]."""
+        """Return a bound [T] on P(done by t), given all but the group's objects in a world [C, O]."""
         belief = self._belief
         allowed = np.ones(len(self._visit_s), dtype=bool)
         sets = np.arange(len(self._visit_s))
@@ -125,7 +125,7 @@ class _HiddenGroup:
         return np.where(ends_s >= others_s, result, 0.0)
 
     def _visiting_times(self) -> Floats:
-        """[2^n] the least time in which the team can have searched each set."""
+        """Return the least time [2^n] in which the team can have searched each set."""
         belief, count = self._belief, len(self._inside)
         travel_s = np.ascontiguousarray(belief.travel_s[np.ix_(self._inside, self._inside)]) + belief.search_time_s
         best = np.zeros(0)
@@ -141,7 +141,7 @@ class _HiddenGroup:
 
 
 def _groups(belief: Belief) -> Iterator[frozenset[int]]:
-    """The least sets of one or two objects, not found yet, of which every way to finish needs at least one."""
+    """Yield the smallest sets of one or two objects, not found yet, of which every way to finish needs at least one."""
     single = [obj for obj in _necessary(belief) if not belief.found[obj]]
     yield from (frozenset([obj]) for obj in single)
     rest = [obj for obj in np.flatnonzero(belief.needed[belief.state]) if not belief.found[obj] and obj not in single]
@@ -149,12 +149,12 @@ def _groups(belief: Belief) -> Iterator[frozenset[int]]:
 
 
 def _necessary(belief: Belief) -> list[int]:
-    """The objects without which the task cannot be finished."""
+    """Return the objects without which the task cannot be finished."""
     return [obj for obj in range(belief.needed.shape[1]) if not _can_finish(belief, frozenset([obj]))]
 
 
 def _can_finish(belief: Belief, without: frozenset[int]) -> bool:
-    """Whether acceptance can be reached without interacting with some objects."""
+    """Return whether acceptance can be reached without interacting with some objects."""
     automaton = belief.automaton
     reached = [belief.state]
     for state in reached:

@@ -8,9 +8,10 @@ from mrtask.planning.compiled import compiled
 
 @compiled
 def shortest_ways(travel_s: Floats, start_s: Floats, ending: Floats, result: Floats) -> None:
-    """The shortest way through each set (Held and Karp 1962), ``result`` [2^n]; ``ending`` [2^n, n] by last container.
+    """Find the shortest way through each set (Held and Karp 1962).
 
-    ``travel_s`` [n, n] and ``start_s`` [n] include the time spent on arrival.
+    ``result`` [2^n] holds the lengths, and ``ending`` [2^n, n] those by last container. ``travel_s`` [n, n] and
+    ``start_s`` [n] include the time spent on arrival.
     """
     n = start_s.size
     for visited in range(1, 1 << n):
@@ -31,7 +32,10 @@ def shortest_ways(travel_s: Floats, start_s: Floats, ending: Floats, result: Flo
 
 @compiled
 def divide(team_s: Floats, one_s: Floats, result: Floats) -> None:
-    """For each set, ``result`` [2^n], the least time in which a team and one more robot can visit it together."""
+    """Find, for each set, the least time in which a team and one more robot can visit it together.
+
+    ``result`` is [2^n].
+    """
     for visited in range(result.size):
         best_s = team_s[visited]
         share = visited

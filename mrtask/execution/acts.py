@@ -1,4 +1,4 @@
-"""What a robot can be doing."""
+"""The acts that a robot can be doing."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,7 +16,7 @@ class ActKind(StrEnum):
     FREE = "free"
     """Waits for a decision."""
     SETTLING = "settling"
-    """Has arrived or finished in this instant, and may begin another act before it is free."""
+    """Has arrived or finished in this instant, and may begin another act before it becomes free."""
     LOST = "lost"
     """Takes no part."""
 
@@ -32,6 +32,6 @@ class Act:
 
     kind: ActKind
     until_s: float = float("inf")
-    """When it is expected to end."""
+    """The time at which it is expected to end."""
     obj: int = -1
-    """The task object of an interaction; a robot that is lost keeps it, since it may yet report the end."""
+    """The task object of an interaction. A lost robot keeps it, because it may still report the end."""

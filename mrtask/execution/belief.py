@@ -26,7 +26,7 @@ GIVEN_UP_ODDS = 1e-6
 MAX_SEARCHES = 100
 """An object that this many searches of a container did not find counts as absent there."""
 MAX_FAILURES = 3
-"""A container counts as searched after this many failed searches, an object as gone after as many failed
+"""A container counts as searched after this many failed searches, and an object as gone after as many failed
 interactions."""
 
 
@@ -41,10 +41,10 @@ class Belief:
 
     def __init__(self, presence_prob: NDArray[np.float64], searched: NDArray[np.bool_], sensor: Sensor) -> None:
         self.presence_prob, self.searched, self.sensor = presence_prob, searched, sensor
-        """What planners are told: [C, O] and [C]."""
+        """The belief that planners see: [C, O] and [C]."""
         self._prior = np.where(searched[:, None], presence_prob, sensor.prior(presence_prob))
         self.posterior = self._prior.copy()
-        """[C, O] the actual belief; it differs from what planners are told only where searches err."""
+        """[C, O] the actual belief, which differs from what planners see only if searches err."""
         self.detected = (presence_prob == 1.0) & searched[:, None]
         """[C, O] whether the object was ever detected there, and not ruled out since."""
         self.searches = np.zeros(len(searched), dtype=np.int64)
@@ -53,7 +53,7 @@ class Belief:
         """How often a container's search (object -1) or an interaction there failed."""
 
     def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
-        """Take in the end of a search of the container. True if that is news.
+        """Take in the end of a search of the container. Return whether that is news.
 
         Args:
             seen: [O] the detections, as `Sensor.posterior` takes them.
@@ -71,18 +71,18 @@ class Belief:
         return self._now_searched(container, np.where(given_up, 0.0, after))
 
     def gave_up(self, container: int) -> bool:
-        """Give the container up, because nobody can search it. True if that is news."""
+        """Give the container up because no robot can search it. Return whether that is news."""
         self.detected[container] = False
         return self._now_searched(container, np.zeros(self.presence_prob.shape[1]))
 
     def glimpsed(self, container: int, obj: int, seen: float) -> bool:
-        """Take in a passing glance at one object; ``seen`` is as in `Sensor.posterior`. True if that is news."""
+        """Take in a passing glance at one object; ``seen`` is as in `Sensor.posterior`. Return whether that is news."""
         row = self.posterior[container]
         self.detected[container, obj] |= seen >= DETECTED
         return self._set(container, obj, float(self.sensor.posterior(row, np.full(len(row), seen))[obj]))
 
     def ruled_out(self, container: int, obj: int) -> bool:
-        """Take in that one object is certainly not in the container. True if that is news."""
+        """Take in that one object is certainly not in the container. Return whether that is news."""
         self.detected[container, obj] = False
         return self._set(container, obj, 0.0)
 

@@ -24,8 +24,8 @@ CELL_M = 0.05
 """The paper's grid cell, the unit of cost in its table."""
 MAX_DECISIONS = 1000
 IDLE_DECISIONS_PER_ROBOT = 10
-"""An episode fails after this many decisions per robot in a row between which nothing was learned or done: its planner
-goes round in circles. A team needs no more than one or two each, for robots that take up a place early."""
+"""An episode fails after this many decisions per robot in a row between which the team learned and did nothing: its
+planner goes round in circles. A team needs no more than one or two each, for robots that take up a place early."""
 BY_HAND = "by_hand"
 """The planner's name in an episode that is stepped by hand."""
 Likelihood = NDArray[np.float64] | LikelihoodModel
@@ -54,14 +54,14 @@ class EpisodeResult:
     planning_s: float
     samples: int
     error: str | None
-    """Why a failed episode failed."""
+    """The reason why a failed episode failed."""
     trace: Trace
     searched: tuple[bool, ...]
     """[C] whether each container's contents were seen, or known from the start."""
 
 
 class Episode:
-    """One trial, stepped by hand: read `problem`, give `step` a plan, until `done`; `run_episode` is this loop.
+    """One trial, stepped by hand: read `problem`, pass a plan to `step`, until `done`; `run_episode` is this loop.
 
     Args:
         likelihood: where objects may be.
@@ -84,7 +84,7 @@ class Episode:
         self.trial, self.name = trial, name
         self.decisions, self.samples = 0, 0
         self.error: str | None = None
-        """Why the episode failed, once it has."""
+        """The reason why the episode failed, once it has failed."""
         self._simulation = Simulation(
             home,
             home_map,
@@ -188,8 +188,7 @@ def run_episode(
         name: the planner's name, on which its seeds depend; None: its name among ours, or its import path.
 
     Raises:
-        ValueError: a plan that the simulation cannot carry out.
-        TypeError: a planner without a method `plan`.
+        ValueError: the simulation cannot carry out a plan. TypeError: the planner has no method `plan`.
     """
     full = as_planner(planner)
     name = name or planner_name(full)
@@ -207,7 +206,7 @@ def run_episode(
 
 
 def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans) -> None:
-    """Let a planner compile what it needs, on a trial's first decision; takes and raises what `run_episode` does."""
+    """Let a planner compile its kernels on a trial's first decision. Takes and raises what `run_episode` does."""
     full = as_planner(planner)
     full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents).problem)
 

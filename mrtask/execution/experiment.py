@@ -1,6 +1,6 @@
 """Compare planners on the same trials, in one process, with their episodes as a table.
 
-This is for programs and notebooks that use mrtask as a library. Trials, seeds and columns are the same as in the
+Use this in programs and notebooks that use mrtask as a library. Trials, seeds and columns are the same as in the
 pipeline, which adds many workers, continuation and the report.
 """
 
@@ -27,7 +27,7 @@ from mrtask.planning.problem import Planner
 
 @dataclass(frozen=True)
 class Progress:
-    """One more episode has ended: the ``done``-th of ``total``."""
+    """Called when one more episode has ended: the ``done``-th of ``total``."""
 
     done: int
     total: int
@@ -63,7 +63,7 @@ def run_experiment(
         cache_dir: a folder in which maps are kept between calls.
 
     Raises:
-        ValueError: an unknown planner, a plan that cannot be carried out, or no home with enough objects.
+        ValueError: a planner is unknown, a plan cannot be carried out, or no home has enough objects.
     """
     chosen = _planners(planners)
     known = {home.id: home for home in homes}

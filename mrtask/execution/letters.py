@@ -8,8 +8,8 @@ from mrtask.tasks.automaton import Automaton
 def serving_order(automaton: Automaton, state: int, objects: frozenset[int]) -> list[int]:
     """Return the order of one instant's interactions that leaves the task nearest to done.
 
-    An interaction is dropped only if it does not advance the task when its turn comes. Of orders that end equally near,
-    the one that drops fewest wins; then the one with the lower object index first.
+    An interaction is dropped only if it does not advance the task when its turn comes. Of the orders that end equally
+    near, the one that drops fewest interactions wins, and then the one with the lower object index first.
     """
 
     @cache

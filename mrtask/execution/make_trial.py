@@ -10,7 +10,7 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.words import ReadTask, read_task
 
 START_REACH_M = 0.5
-"""A start off the free floor is moved at most this far."""
+"""A start that is not on the free floor moves by at most this distance."""
 OWN_TASK = "formula"
 """The ``template`` of a trial whose task does not come from a template."""
 
@@ -48,7 +48,7 @@ def make_trial(
 def trial_of(
     name: str, home: Home, home_map: HomeMap, task: ReadTask, team: Team, *, start_m: Point | None, seed: int
 ) -> Trial:
-    """Return the trial of a task that was read; raises and means what `make_trial` does."""
+    """Return the trial of a task that was read. Takes and raises what `make_trial` does."""
     middle = np.argwhere(home_map.free).mean(axis=0)
     place = home_map.cell_center((middle[0], middle[1])) if start_m is None else start_m
     return Trial(

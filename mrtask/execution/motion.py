@@ -1,6 +1,6 @@
 """Positions, also between cells, and the routes that robots drive: continuous in space, exact in time.
 
-A robot redirected in mid-path is somewhere on the edge between two neighbouring cells. It goes on by the end of that
+A robot redirected in mid-path is somewhere on the edge between two neighbouring cells. It continues by the end of that
 edge that is nearer to its new target.
 """
 

@@ -85,7 +85,7 @@ class Sensor:
 
 
 def _bayes(prior: Floats, if_present: Floats, if_absent: Floats) -> Floats:
-    """The posterior after evidence with these likelihoods; 0 where the evidence is impossible either way."""
+    """Return the posterior after evidence with these likelihoods, or 0 if the evidence is impossible either way."""
     joint = prior * if_present
     total = joint + (1.0 - prior) * if_absent
     return np.divide(joint, total, out=np.zeros_like(total), where=total > 0.0)

@@ -1,7 +1,7 @@
-"""One robot of a team: where it is, what it does, how it drives, and what it has done.
+"""One robot of a team: where it is, what it is doing, how it drives, and what it has done.
 
 A robot knows its speed, its durations and its map, but neither the task nor the belief: `TeamState` tells it what to
-do. It has no clock either: every method is told the present instant, ``now_s``.
+do. It has no clock either: every method receives the present instant, ``now_s``.
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,13 +18,13 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
 
 EARLY_S = 1e-6
-"""A robot that arrives sooner than expected by more than this was faster than its speed says."""
+"""A robot that arrives earlier than expected by more than this was faster than its speed says."""
 FREE = Act(ActKind.FREE)
 
 
 @dataclass(frozen=True)
 class Labels:
-    """The names that legs are written with: [C] of the containers and [O] of the task's objects."""
+    """The names that appear in legs: [C] of the containers and [O] of the task's objects."""
 
     containers: tuple[str, ...]
     objects: tuple[str, ...]
@@ -35,19 +35,19 @@ class Robot:
     """One robot. It has a ``route`` exactly while it moves."""
 
     position: Position
-    """Where it stands, or where it set out on its route."""
+    """Where the robot stands, or where it set out on its route."""
     spec: RobotSpec
     home_map: HomeMap
     labels: Labels
     place: int = -1
-    """The container that it stands at, -1 anywhere else."""
+    """The container at which it stands, or -1 anywhere else."""
     act: Act = field(default=FREE)
     assignment: Assignment = field(default=Assignment(WAIT))
     since_s: float = 0.0
-    """When the present leg began."""
+    """The time at which the present leg began."""
     route: Route | None = None
     moved_s: float = 0.0
-    """When it set out on its route."""
+    """The time at which it set out on its route."""
     passed: tuple[Point, ...] = ()
     """The way driven in this leg before the present route."""
     legs: list[Leg] = field(default_factory=list)
@@ -72,11 +72,11 @@ class Robot:
         return self.position if self.route is None else self.route.position(self._driven_m(now_s))
 
     def can_reach(self, container: int, position: Position) -> bool:
-        """Return whether there is a way from the position to the container."""
+        """Return whether a way leads from its position to the container."""
         return bool(np.isfinite(position.distances_m(self.home_map)[container]))
 
     def travel_s(self, now_s: float) -> NDArray[np.float64]:
-        """Return [C] the time from where the robot is to each container; inf where unreachable."""
+        """Return the times [C] from the robot's position to each container; inf if unreachable."""
         return self.position_at(now_s).distances_m(self.home_map) / self.spec.speed_m_per_s
 
     def way_left(self, now_s: float) -> tuple[tuple[Point, ...], float]:
@@ -102,7 +102,7 @@ class Robot:
         """Begin the way to the assignment's container, if the robot is not there already.
 
         Raises:
-            ValueError: there is no way to the container.
+            ValueError: no way leads to the container.
         """
         position, container = self.position_at(now_s), assignment.container
         if container != WAIT and not self.can_reach(container, position):
@@ -114,7 +114,7 @@ class Robot:
             self._drive(position, now_s)
 
     def see_at(self, position: Position, now_s: float) -> None:
-        """Correct where the robot is, on its way or standing; it drives on from there."""
+        """Correct the robot's position, on its way or standing. It drives on from there."""
         if self.moving:
             self._go_on_from(position, now_s)
         elif self.free:
@@ -123,7 +123,7 @@ class Robot:
                 self.position, self.place = position, -1
 
     def go_on(self, position: Position, now_s: float) -> None:
-        """Go on from a position on a changed map; free, if the robot can no longer get to its container."""
+        """Continue from a position on a changed map. The robot is free if it can no longer get to its container."""
         if self.moving and self.can_reach(self.assignment.container, position):
             self._go_on_from(position, now_s)
             return
@@ -135,15 +135,15 @@ class Robot:
         self.position = position
 
     def stop(self, now_s: float) -> None:
-        """Give up the way; the robot is free where it is."""
+        """Give up the way. The robot is free where it is."""
         self._halt(self.position_at(now_s), now_s)
         self.assignment = Assignment(WAIT)
 
     def arrive(self, now_s: float, *, search: bool) -> None:
-        """Stand at the assignment's container, expected there now or at any other time, and ``search`` it or settle."""
+        """Stand at the assignment's container, expected there now or not, and ``search`` it or settle."""
         if self.route is not None:
             needed_s = self.route.length_m / self.spec.speed_m_per_s
-            if now_s - self.moved_s < needed_s - EARLY_S:  # it has driven all of its way even so
+            if now_s - self.moved_s < needed_s - EARLY_S:  # even so, it has driven all of its way
                 self.moved_s = now_s - needed_s
         self._close_leg(now_s)
         if self.route is not None:
@@ -154,7 +154,7 @@ class Robot:
             self.begin(ActKind.SEARCH, now_s)
 
     def end_search(self, now_s: float) -> None:
-        """The search is over; what the robot does next is decided within the instant."""
+        """End the search. What the robot does next is decided within the instant."""
         self._close_leg(now_s)
         self.act = Act(ActKind.SETTLING, now_s)
 
@@ -164,14 +164,14 @@ class Robot:
         self.act = Act(kind, now_s + self.spec.duration_s(kind), obj)
 
     def end_interaction(self, now_s: float) -> None:
-        """The interaction is over; a robot that was sent for it is free, others may begin another."""
+        """End the interaction. A robot that was sent for it becomes free; others may begin another."""
         self._close_leg(now_s)
         self.act = replace(self.act, kind=ActKind.SETTLING, obj=-1)
         if self.assignment.interaction != ANY_SAFE:
             self.release()
 
     def release(self) -> None:
-        """Be free, where the robot stands."""
+        """Become free at the place where the robot stands."""
         self.act = FREE
         self.assignment = Assignment(WAIT, self.assignment.interaction)
 
@@ -201,18 +201,18 @@ class Robot:
         self.act = Act(ActKind.MOVE, now_s + self.route.length_m / self.spec.speed_m_per_s)
 
     def _go_on_from(self, position: Position, now_s: float) -> None:
-        """The leg goes on with another route."""
+        """Continue the leg with another route."""
         if self.route is not None:
             self.passed += self.route.points(self.home_map, self._driven_m(now_s))
         self._drive(position, now_s)
 
     def _close_leg(self, now_s: float) -> None:
-        """Write down what the robot did since its last leg; moves and waits only if time passed."""
+        """Record what the robot did since its last leg; record moves and waits only if time passed."""
         self.legs += self._leg_now(now_s)
         self.since_s = now_s
 
     def _leg_now(self, now_s: float) -> list[Leg]:
-        """The leg from the end of the last one until now, or none."""
+        """Return the leg from the end of the last one until now; a move or a wait only if time passed."""
         kind = self.act.kind.leg
         if kind in (ActKind.MOVE, WAIT_LEG) and self.since_s == now_s:
             return []

@@ -20,12 +20,12 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.words import ReadTask, read_task
 
 UNKNOWN_PROB = 0.1
-"""The likelihood of every object in every container where there is no model."""
+"""The likelihood of every object in every container without a model."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """All that `mrtask.execution.episode.run_episode` needs except the planner."""
+    """Everything that `mrtask.execution.episode.run_episode` needs except the planner."""
 
     home: Home
     home_map: HomeMap
@@ -41,7 +41,7 @@ def task_in(home: Home, text: str, objects: Collection[str] | None = (), *, robo
         objects: names allowed in addition to those in the home's containers; None allows any name.
 
     Raises:
-        InputError: the text is no task, has more than one meaning, or delivers something with more than one robot.
+        InputError: the text is not a task, has more than one meaning, or has a delivery for more than one robot.
     """
     listed = {name for container in home.containers for name in container.objects}
     places = [container.id for container in home.containers if container.id.isidentifier()]
@@ -75,7 +75,7 @@ def prior(home: Home, task: ReadTask, model: LikelihoodModel | None) -> NDArray[
 
 
 def drawn_worlds(scenario: Scenario, count: int, seed: int) -> list[Home]:
-    """Draw worlds: the home with the task's objects placed by the likelihoods, each somewhere that robots can reach.
+    """Draw worlds: the home with the task's objects placed by the likelihoods, each where robots can reach it.
 
     A planner's mean saving over such worlds is its merit; its saving in one world is partly luck.
 

@@ -98,7 +98,7 @@ class Simulation:
         self._decide_again = failed or len(self.team.letters) > letters
 
     def advance(self) -> bool:
-        """Let time run until the task is done or a robot is free; False if no robot does anything any more."""
+        """Let time run until the task is done or a robot is free. Return False if no robot does anything any more."""
         if self._decide_again:  # an assignment was completed on the spot
             return True
         while not self.accepted:
@@ -112,7 +112,7 @@ class Simulation:
         return True
 
     def trace(self) -> Trace:
-        """Return the record so far; acts under way are cut off at the present instant."""
+        """Return the record so far. Acts under way are cut off at the present instant."""
         return self.team.trace()
 
     def missing(self) -> list[str]:
@@ -120,7 +120,7 @@ class Simulation:
         return self.team.missing()
 
     def _process_instant(self) -> bool:
-        """Settle everything that is due now; True if that leaves a robot free."""
+        """Settle everything that is due now, and return whether a robot is free afterwards."""
         acted = [robot for robot in self.team.robots if robot.act.until_s <= self.time_s + SAME_INSTANT_S]
         for robot in acted:
             if robot.moving:
@@ -138,9 +138,9 @@ class Simulation:
         return belief.sensor.detect(self.truth[container], key_seed(self._seed, "search", container, search))
 
     def _settle(self) -> bool:
-        """Start and complete interactions until nothing more happens at this instant; free the other robots.
+        """Start and complete interactions until nothing more happens at this instant, then free the other robots.
 
-        True if an interaction failed because the object is not there.
+        Return whether an interaction failed because the object is not there.
         """
         failed = False
         while not self.accepted:

@@ -1,4 +1,4 @@
-"""The robots of a team: speed, times, perception, number."""
+"""The robots of a team: their number, speed, times and perception."""
 
 from dataclasses import dataclass, field
 
@@ -29,7 +29,7 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class Team:
-    """A number of robots, all alike."""
+    """A number of identical robots."""
 
     robots: int
     spec: RobotSpec = field(default_factory=RobotSpec)

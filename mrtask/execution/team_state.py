@@ -1,10 +1,10 @@
-"""What a team knows, where its robots are and what they do: the one logic behind simulated and real episodes.
+"""What a team knows, where its robots are and what they do: the same logic for simulated and real episodes.
 
-A `TeamState` is told what happened (arrived, searched, interacted, seen, lost, blocked) and keeps belief, automaton and
-robots in step with it; between events it takes robots to do as expected, at their speed. It knows neither the truth nor
-a clock: a simulation or a lab's robots are its world. It works as planners assume: a robot under way arrives, searches
-a container that nobody has searched, interacts if its assignment and the task allow it, and is free. How a robot moves
-is in `Robot`.
+A `TeamState` learns what happened (arrived, searched, interacted, seen, lost, blocked) and keeps belief, automaton and
+robots in step with it. Between events it assumes that robots do as expected, at their speed. It knows neither the truth
+nor a clock: a simulation or a lab's robots are its world. It works as planners assume: a robot under way arrives,
+searches a container that no robot has searched, interacts if its assignment and the task allow it, and is free. `Robot`
+knows how a robot moves.
 
 Legend for array shapes: R robots, C containers, O task objects.
 """
@@ -29,8 +29,8 @@ from mrtask.tasks.automaton import Automaton
 class TeamState:
     """The belief, the task's state and the robots.
 
-    Decisions are `problem`, a planner's plan, `assign`. The other methods say what happened, all at ``time_s``, which
-    the caller moves on. After the events of one instant come `start_interactions` and `release`.
+    Decisions are `problem`, a planner's plan, and `assign`. The other methods say what happened, all at ``time_s``,
+    which the caller advances. `start_interactions` and `release` follow the events of one instant.
 
     Args:
         containers: [C] the containers' names.
@@ -113,11 +113,14 @@ class TeamState:
         self.news = False
 
     def arrived(self, robot: Robot) -> None:
-        """The robot is at its assignment's container, when it was expected there or at any other time."""
+        """Take in that the robot is at its assignment's container, whether expected there now or not."""
         robot.arrive(self.time_s, search=not self.belief.searched[robot.assignment.container])
 
     def search_ended(self, robot: Robot, seen: Seen | None, fresh: NDArray[np.bool_] | None = None) -> None:
-        """The robot's search is over; ``seen`` and ``fresh`` as in `Belief.learned`, or None: it could not search."""
+        """Take in that the robot's search is over.
+
+        ``seen`` and ``fresh`` are as in `Belief.learned`; None means that it could not search.
+        """
         if seen is None:
             self.failed(robot.place, -1)
         else:
@@ -125,20 +128,26 @@ class TeamState:
         robot.end_search(self.time_s)
 
     def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
-        """A search of the container ended, whoever searched; see `Belief.learned`. True if that is news."""
+        """Take in that a search of the container ended, whichever robot searched. Return whether that is news.
+
+        See `Belief.learned`.
+        """
         return self._noted(self.belief.learned(container, seen, fresh))
 
     def glimpsed(self, container: int, obj: int, seen: float) -> bool:
-        """One object was seen in passing; see `Belief.glimpsed`. True if that is news."""
+        """Take in that one object was seen in passing; see `Belief.glimpsed`. Return whether that is news."""
         return self._noted(self.belief.glimpsed(container, obj, seen))
 
     def failed(self, container: int, obj: int) -> None:
-        """A search (object -1) or an interaction could not be made."""
+        """Take in that a search (object -1) or an interaction could not be made."""
         self.belief.failed(container, obj)
         self.news = True
 
     def interactions_ended(self, due: Sequence[Robot]) -> None:
-        """These interactions were completed in this instant; those that advance the task are letters of its word."""
+        """Take in the interactions that were completed in this instant.
+
+        Those that advance the task are letters of its word.
+        """
         objects = frozenset(robot.act.obj for robot in due)
         for obj in serving_order(self.automaton, self.state, objects):
             robot = next(robot for robot in due if robot.act.obj == obj)
@@ -152,7 +161,7 @@ class TeamState:
             robot.end_interaction(self.time_s)
 
     def interaction_failed(self, robot: Robot, gone: bool) -> None:
-        """The robot could not interact; ``gone``: because the object is not there."""
+        """Take in that the robot could not interact; ``gone`` says that the object is not there."""
         if gone:
             self._noted(self.belief.ruled_out(robot.place, robot.act.obj))
         else:
@@ -161,7 +170,7 @@ class TeamState:
         robot.release()
 
     def start_interactions(self) -> bool:
-        """Let standing robots begin what their assignments allow. True if any did."""
+        """Let standing robots begin what their assignments allow. Return whether any did."""
         if self.accepted:
             return False
         kinds = (ActKind.FREE, ActKind.SETTLING)
@@ -169,7 +178,10 @@ class TeamState:
         return bool([robot for robot in standing if self._try_interaction(robot)])
 
     def release(self) -> None:
-        """The instant is over: robots with nothing left to do are free, and what may have been missed is open again."""
+        """End the instant.
+
+        Robots with nothing left to do are free, and what may have been missed is open again.
+        """
         if not self.accepted:
             self.belief.look_again(self._lacking(), self.home_map.reachable)
         for robot in self.robots:
@@ -177,12 +189,12 @@ class TeamState:
                 robot.release()
 
     def lose(self, robot: Robot) -> None:
-        """The robot is out of the team; others may take over what it was on its way to."""
+        """Take the robot out of the team; others may take over its assignment."""
         robot.lose(self.time_s)
         self.news = True
 
     def join(self, position: Position, robot: Robot | None = None) -> Robot:
-        """A new robot, or a lost one, takes part from now on, free at this position."""
+        """Let a new robot, or a lost one, take part from now on, free at this position."""
         if robot is None:
             robot = self.new_robot(position)
             self.robots.append(robot)
@@ -191,20 +203,21 @@ class TeamState:
         return robot
 
     def new_robot(self, position: Position) -> Robot:
-        """Return a robot like the others at this position, not yet of the team."""
+        """Return a robot like the others at this position, which is not in the team yet."""
         return Robot(position, self.spec, self.home_map, self.labels, since_s=self.time_s)
 
     def use_map(self, home_map: HomeMap) -> None:
-        """Take ways and travel times from this map, with the same containers."""
+        """Use the ways and travel times of this map, which has the same containers."""
         self.home_map = home_map
         self._travel_s = home_map.travel_m / self.spec.speed_m_per_s
         for robot in self.robots:
             robot.home_map = home_map
 
     def take_other_ways(self, home_map: HomeMap, starts: Mapping[int, Position]) -> None:
-        """The ways changed under the team, which goes on from ``starts`` (number -> where the robot is) by the new map.
+        """Take in that the ways changed under the team.
 
-        A robot under way that can no longer get to its container is free.
+        The team continues from ``starts`` (number -> where the robot is) by the new map. A robot under way that can no
+        longer get to its container is free.
         """
         self.use_map(home_map)
         self.news = True
@@ -216,11 +229,11 @@ class TeamState:
         return [self.labels.objects[obj] for obj in np.flatnonzero(self._lacking())]
 
     def trace(self) -> Trace:
-        """Return the record so far; actions under way are cut off at the present instant."""
+        """Return the record so far. Acts under way are cut off at the present instant."""
         return Trace(self.start, tuple(robot.legs_until(self.time_s) for robot in self.robots), tuple(self.letters))
 
     def _lacking(self) -> NDArray[np.bool_]:
-        """[O] the objects that `missing` names."""
+        """Return the objects [O] that `missing` names."""
         return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found())
 
     def _noted(self, news: bool) -> bool:
@@ -237,7 +250,7 @@ class TeamState:
         return True
 
     def _allowed(self, robot: Robot) -> NDArray[np.bool_]:
-        """[O] the objects that the robot may interact with at its place now: one that it was sent for, or safe ones."""
+        """Return the objects [O] with which the robot may interact here now: the one it was sent for, or safe ones."""
         wanted, here = robot.assignment.interaction, self.belief.presence_prob[robot.place] > 0
         if not self.belief.searched[robot.place]:
             return np.zeros_like(here)

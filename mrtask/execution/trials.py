@@ -12,11 +12,11 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
 COSTS = ("makespan", "least_motion")
-"""The cost of an episode: the time until the task is done, or the driving time of the robot that drove least (the
+"""The cost of an episode: the time until the task is done, or the driving time of the robot that drove least (as in the
 authors' code)."""
 HOME_ORDERS = ("shuffled", "file")
 """The order in which a cell's trials take the homes: shuffled for each cell, or the files' order, the same for all team
-sizes (the authors' code)."""
+sizes (as in the authors' code)."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Trial:
     start_cell: tuple[int, int]
     seed: int
     known: tuple[int, ...] = ()
-    """Indices of the home's containers whose contents every planner knows from the start."""
+    """The indices of the home's containers whose contents every planner knows from the start."""
     cost: str = "makespan"
     """One of `COSTS`."""
 
@@ -98,8 +98,8 @@ def sample_trial(
 ) -> Trial:
     """Return the ``number``-th trial of a cell, on the homes of `home_order`.
 
-    The template is drawn among those for which the home has enough distinct reachable objects; the objects and the
-    start cell are drawn uniformly. Homes with too few objects for every template are skipped. A ``formula`` among the
+    The template is drawn among those for which the home has enough distinct reachable objects. The objects and the
+    start cell are drawn uniformly. Homes with too few objects for every template are skipped. A ``formula`` in the
     options replaces the templates in every trial.
 
     Raises:
@@ -145,9 +145,9 @@ def sample_trial(
 def known_containers(
     home: Home, objects: Sequence[str], unsearched_share: tuple[float, float], rng: np.random.Generator
 ) -> tuple[int, ...]:
-    """Draw the containers known from the start: all but a share between the bounds, none of them with a task's object.
+    """Draw the containers known from the start: all but a share between the bounds, none with a task object.
 
-    The authors' code draws trials like this; the share is exceeded where more containers hold such objects.
+    The authors' code draws trials in this way. The share is exceeded if more containers hold such objects.
     """
     count = len(home.containers)
     unsearched = round(rng.uniform(*unsearched_share) * count)

@@ -1,1 +1,1 @@
-"""Homes: the type every source ends in, the reader of ProcTHOR houses and the procedural generator."""
+"""Homes: the type that every source produces, the reader of ProcTHOR houses, and the procedural generator."""

@@ -1,6 +1,6 @@
-"""Facts on household furniture: which types hold small objects, how large they are, what stands and lies where.
+"""Facts about household furniture: which types hold small objects, how large they are, and what stands or lies where.
 
-The figures are in ``catalogue.yaml``, derived from ProcTHOR homes by ``python tools/derive_catalogue.py``.
+The figures are in ``catalogue.yaml``, which ``python tools/derive_catalogue.py`` derived from ProcTHOR homes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ CONTAINER_TYPES = frozenset(
         "Fridge", "GarbageCan", "Ottoman", "ShelvingUnit", "SideTable", "Sink", "Sofa", "Stool", "TVStand", "Toilet",
     }
 )  # fmt: skip
-"""The floor-standing types that hold small objects; lamps, plants, boxes and the like are obstacles."""
+"""The floor-standing types that hold small objects. Lamps, plants, boxes and the like are obstacles."""
 
 
 class Size(NamedTuple):
@@ -38,7 +38,7 @@ class Asset:
 
 
 AssetDatabase = Mapping[str, Asset]
-"""Asset id -> asset."""
+"""The assets by id."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Catalogue:
     assets: AssetDatabase
 
     def typical_size_m(self, object_type: str) -> Size | None:
-        """The median size of a type's assets, None for a type that is not listed."""
+        """Return the median size of a type's assets, or None for a type that is not listed."""
         entry = self.types.get(object_type)
         return Size(*entry["size_m"]) if entry else None
 
 
 @cache
 def load_catalogue() -> Catalogue:
-    """The catalogue that comes with the package."""
+    """Read the catalogue that comes with the package."""
     text = files("mrtask.homes").joinpath("catalogue.yaml").read_text(encoding="utf-8")
     facts = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     assets = {
@@ -73,5 +73,5 @@ def load_catalogue() -> Catalogue:
 
 
 def is_larger(area_m2: float, area_classes_m2: Sequence[float]) -> bool:
-    """Whether a room is in the larger half of its kind, given the borders of the area classes."""
+    """Return whether a room is in the larger half of its kind, given the borders of the area classes."""
     return area_m2 >= area_classes_m2[len(area_classes_m2) // 2]

@@ -1,9 +1,9 @@
-"""Downloads public data once, checked by sha256; afterwards it is used offline.
+"""Download public data once and check its sha256; afterwards, everything works offline.
 
-Files appear complete or not at all. What an interrupted download has got is kept beside the file (``.part``), and the
-next try goes on from there where the server allows it. Sources: ProcTHOR-10K from github.com/allenai/procthor-10k and,
-for the sizes of furniture, the asset database of github.com/allenai/procthor (both Apache-2.0); where people put things
-from github.com/yashkant/housekeep (MIT).
+Files appear complete or not at all. The part that an interrupted download has received stays beside the file
+(``.part``), and the next attempt continues from there if the server allows it. Sources: ProcTHOR-10K from
+github.com/allenai/procthor-10k; for the sizes of furniture, the asset database of github.com/allenai/procthor (both
+Apache-2.0); for where people put things, github.com/yashkant/housekeep (MIT).
 """
 
 import os
@@ -31,7 +31,7 @@ CHUNK_BYTES = 1 << 14
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """Where a file comes from and what it must be; without ``sha256`` its reader checks the content."""
+    """A file's address and expected content. Without a ``sha256``, the file's reader checks the content."""
 
     url: str
     size_bytes: int
@@ -63,7 +63,7 @@ HOUSEKEEP: Mapping[str, RemoteFile] = {
 
 
 class DownloadError(InputError):
-    """A file that could not be downloaded: names it, the reason and what to do."""
+    """A file that could not be downloaded. The message names the file, the reason, and what to do."""
 
 
 def fetch_procthor10k(
@@ -72,9 +72,10 @@ def fetch_procthor10k(
     progress: bool = False,
     files: Mapping[str, RemoteFile] = PROCTHOR_10K,
 ) -> dict[str, Path]:
-    """Path of each named file in ``folder``, downloaded unless a file with the right checksum is there already.
+    """Return the path of each named file in ``folder``, and download those that are not there yet.
 
-    Raises `DownloadError` (offline, not found, wrong checksum, no room on the disk) and `ValueError` for unknown names.
+    A file with the right checksum is not downloaded again. Raises `DownloadError` (offline, not found, wrong checksum,
+    no space on the disk) and `ValueError` for unknown names.
     """
     wanted = list(names)
     if unknown := sorted(set(wanted) - set(files)):
@@ -83,9 +84,10 @@ def fetch_procthor10k(
 
 
 def fetch(remote: RemoteFile, path: Path, progress: bool = False) -> Path:
-    """``path``, downloaded unless it is there with the right checksum (without one: unless it is there).
+    """Return ``path``, and download it if it is not there yet.
 
-    Raises `DownloadError` (offline, not found, wrong checksum, no room on the disk).
+    A file with the right checksum, or any file if no checksum is given, is not downloaded again. Raises `DownloadError`
+    (offline, not found, wrong checksum, no space on the disk).
     """
     part = path.with_name(path.name + ".part")
 
@@ -93,15 +95,15 @@ def fetch(remote: RemoteFile, path: Path, progress: bool = False) -> Path:
         _continue(url, part, progress)
         os.replace(part, output)
 
-    pooch.get_logger().setLevel("WARNING")  # the progress bar says what happens
+    pooch.get_logger().setLevel("WARNING")  # the progress bar shows what happens
     try:
         expected = f"sha256:{remote.sha256}" if remote.sha256 else None
         pooch.retrieve(remote.url, expected, path.name, path.parent, downloader=download)
     except requests.exceptions.RequestException as error:
         raise DownloadError(f"{path.name}: {_reason(error, remote)}; {_advice(path)}") from error
     except ValueError as error:
-        problem = f"what {remote.url} sent has not the sha256 {remote.sha256}"
-        raise DownloadError(f"{path.name}: {problem}; it was thrown away: try again, or {_advice(path)}") from error
+        problem = f"the file from {remote.url} does not have the sha256 {remote.sha256}"
+        raise DownloadError(f"{path.name}: {problem}; it was deleted: try again, or {_advice(path)}") from error
     except OSError as error:
         problem = f"cannot be written to {path.parent} ({error.strerror or error})"
         raise DownloadError(f"{path.name}: {problem}; {remote.size_bytes} bytes are needed") from error
@@ -109,7 +111,10 @@ def fetch(remote: RemoteFile, path: Path, progress: bool = False) -> Path:
 
 
 def _continue(url: str, part: Path, progress: bool) -> None:
-    """Bring ``part`` to its full length; after a cut, some tries go on from where it ended."""
+    """Bring ``part`` to its full length.
+
+    After a broken connection, a few more attempts continue where it ended.
+    """
     for left in reversed(range(TRIES)):
         try:
             _request(url, part, progress)
@@ -124,7 +129,7 @@ def _request(url: str, part: Path, progress: bool) -> None:
     headers = {"Range": f"bytes={have}-", "Accept-Encoding": "identity"} if have else {"Accept-Encoding": "identity"}
     with requests.get(url, headers=headers, stream=True, timeout=TIMEOUT_S) as response:
         if have and response.status_code == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
-            return  # nothing is missing; the checksum decides
+            return  # the file is complete; its checksum decides
         response.raise_for_status()
         goes_on = response.status_code == HTTPStatus.PARTIAL_CONTENT
         total = int(response.headers.get("Content-Length", 0)) + (have if goes_on else 0)
@@ -148,7 +153,7 @@ def _reason(error: requests.exceptions.RequestException, remote: RemoteFile) -> 
     if error.response is not None:
         return f"{remote.url} answered {error.response.status_code} {error.response.reason}"
     if isinstance(error, requests.exceptions.ChunkedEncodingError):
-        return f"the connection to {remote.url} was cut; the same command goes on from there"
+        return f"the connection to {remote.url} was cut; the same command continues from there"
     return f"{remote.url} cannot be reached (are you offline?)"
 
 

@@ -1,7 +1,7 @@
 """A home: rooms, doors, containers and the objects in them, in metres on the floor plane.
 
-Every home source (ProcTHOR files, the procedural generator, a lab's own map) ends in this type, and everything after
-it starts here. Coordinates are ``(x, y)`` in metres; a ProcTHOR house's ``z`` axis is our ``y``.
+Every home source (ProcTHOR files, the procedural generator, a lab's own map) produces this type, and everything after
+it starts from here. Coordinates are ``(x, y)`` in metres; a ProcTHOR house's ``z`` axis is our ``y``.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ LARGE_ABOVE_M2 = 110.0
 
 @dataclass(frozen=True)
 class Room:
-    """A room; ``type`` is ProcTHOR's (``Kitchen``, ``LivingRoom``, ``Bedroom``, ``Bathroom``), free elsewhere."""
+    """A room. ``type`` is ``Kitchen``, ``LivingRoom``, ``Bedroom`` or ``Bathroom`` in ProcTHOR, and free elsewhere."""
 
     id: str
     type: str
@@ -31,7 +31,10 @@ class Room:
 
 @dataclass(frozen=True)
 class Door:
-    """An opening from ``start`` to ``end`` on the wall shared by two rooms; an outside door names one room twice."""
+    """An opening from ``start`` to ``end`` on the wall shared by two rooms.
+
+    An outside door names one room twice.
+    """
 
     id: str
     rooms: tuple[str, str]
@@ -41,7 +44,7 @@ class Door:
 
 @dataclass(frozen=True)
 class Container:
-    """Floor-standing furniture that can hold small objects, with the distinct object types it holds, sorted."""
+    """Floor-standing furniture that can hold small objects, with the sorted distinct object types that it holds."""
 
     id: str
     type: str
@@ -61,7 +64,7 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Home:
-    """One home. ``source`` says where it came from (``generated``, a file's name, ...) and is no part of its id."""
+    """One home. ``source`` says where it came from (``generated``, a file's name, ...) and is not part of its id."""
 
     source: str
     rooms: tuple[Room, ...]
@@ -71,14 +74,17 @@ class Home:
 
     @cached_property
     def id(self) -> str:
-        """The content hash (16 hex digits): equal for homes with equal content, whatever their source."""
+        """Return the content hash (16 hex digits). It is equal for homes with equal content, whatever their source."""
         content = asdict(self)
         del content["source"]
         return _content_hash(content)
 
     @cached_property
     def layout_id(self) -> str:
-        """Like ``id``, but without what the containers hold: homes that differ in nothing else have the same map."""
+        """Return a hash like ``id``, but without the contents of the containers.
+
+        Homes that differ only in these contents have the same map.
+        """
         content = asdict(self)
         del content["source"]
         for container in content["containers"]:
@@ -87,26 +93,26 @@ class Home:
 
     @cached_property
     def area_m2(self) -> float:
-        """The floor area of all rooms."""
+        """Return the floor area of all rooms."""
         return float(sum(ShapelyPolygon(room.polygon).area for room in self.rooms))
 
     @property
     def size_class(self) -> str:
-        """``small`` below 60 m2, ``large`` above 110 m2, else ``medium``."""
+        """Return ``small`` below 60 m2, ``large`` above 110 m2, else ``medium``."""
         return size_class_of(self.area_m2)
 
     @cached_property
     def room_types(self) -> dict[str, str]:
-        """Room id -> room type."""
+        """Return the room types by room id."""
         return {room.id: room.type for room in self.rooms}
 
     def container_kinds(self) -> list[tuple[str, str]]:
-        """``(container type, room type)`` of each container, in the order of ``containers``."""
+        """Return the ``(container type, room type)`` of each container, in the order of ``containers``."""
         return [(container.type, self.room_types[container.room_id]) for container in self.containers]
 
 
 def size_class_of(area_m2: float) -> str:
-    """The size class of a floor area."""
+    """Return the size class of a floor area."""
     if area_m2 < SMALL_BELOW_M2:
         return "small"
     return "large" if area_m2 > LARGE_ABOVE_M2 else "medium"

@@ -1,8 +1,9 @@
-"""Reads ProcTHOR house JSON (schema 1.0.0, the format of ProcTHOR-10K) into homes.
+"""Read ProcTHOR house JSON (schema 1.0.0, the format of ProcTHOR-10K) as homes.
 
 Source: Deitke et al., *ProcTHOR: Large-Scale Embodied AI Using Procedural Generation*, NeurIPS 2022. Object ids are
-``Type|room|n`` (ProcTHOR-10K) or ``room|n`` (ProcTHOR's own generator); the type of the latter comes from the asset
-database by ``assetId``. Without a database, sizes come from the catalogue: the asset's when listed, else its type's.
+``Type|room|n`` (ProcTHOR-10K) or ``room|n`` (ProcTHOR's own generator); for the latter, the type comes from the asset
+database by ``assetId``. Without a database, sizes come from the catalogue: the asset's size if it is listed, else its
+type's.
 """
 
 import gzip
@@ -26,19 +27,19 @@ from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, R
 
 MAX_COORDINATE_M = 1000.0
 MAX_EXTENT_M = 100.0
-"""Homes wider than this are refused: their map would not fit in memory, and no home is."""
+"""Wider homes are refused. Their map would not fit in memory, and real homes are smaller."""
 MIN_ROOM_AREA_M2 = 0.1
 ROOM_OVERLAP_TOLERANCE_M2 = 0.05
 ON_FLOOR_BELOW_M = 0.3
-"""Things whose underside is higher (paintings, wall televisions) are no obstacle."""
+"""Things with a higher underside (paintings, televisions on walls) are not obstacles."""
 WALL_TOLERANCE_M = 0.05
-"""Wall ids carry two decimals, door positions all of them."""
+"""Wall ids have two decimals, door positions have all of them."""
 _ASSET_GROUP = re.compile(r"_\d+$")
-"""What ids of asset groups append to their type: ``Mug_3``."""
+"""What the ids of asset groups append to their type: ``Mug_3``."""
 
 
 class HouseError(InputError):
-    """A house that cannot be read: names the file, the home's number in it (from 0) and the field."""
+    """A house that cannot be read. The message names the file, the home's number in it (from 0), and the field."""
 
     def __init__(self, source: str, number: int | None, field: str, problem: str) -> None:
         self.source, self.number, self.field, self.problem = source, number, field, problem
@@ -116,7 +117,10 @@ class _House(_Schema):
 
 
 def load_asset_types(path: Path | str) -> AssetDatabase:
-    """Read ProcTHOR's asset database (object type -> list of assets). Raises `HouseError` naming file and field."""
+    """Read ProcTHOR's asset database (object type -> list of assets).
+
+    Raises `HouseError`, which names the file and the field.
+    """
     path = Path(path)
     raw = _parse_json(_read_text(path), path.name, None)
     if not isinstance(raw, dict) or not raw:
@@ -142,7 +146,7 @@ def read_houses(
 ) -> Iterator[Home]:
     """Yield the homes of ``.jsonl``, ``.jsonl.gz`` (one house per line) or ``.json`` (one house) files, in order.
 
-    A faulty house raises `HouseError`; with ``on_error`` it is handed over there instead and left out. A file that
+    A faulty house raises `HouseError`; with ``on_error``, it is passed to that function and left out. A file that
     cannot be read to its end (missing, truncated) raises in either case.
     """
     paths = [Path(file) for file in files]
@@ -165,7 +169,7 @@ def read_houses(
 
 
 def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: int) -> Home:
-    """Turn one decoded house JSON into a `Home`; raises `HouseError` when it is not a valid house."""
+    """Turn one decoded house JSON into a `Home`. Raises `HouseError` if it is not a valid house."""
     try:
         house = _House.model_validate(raw)
     except ValidationError as error:
@@ -203,7 +207,10 @@ def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: 
 
 
 def rotated_rectangle(x_m: float, y_m: float, size_m: Size, rotation_deg: float) -> Polygon:
-    """The footprint of a box centred at ``(x_m, y_m)``; Unity's ``rotation.y`` turns clockwise seen from above."""
+    """Return the footprint of a box centred at ``(x_m, y_m)``.
+
+    Unity's ``rotation.y`` turns clockwise seen from above.
+    """
     cos, sin = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
     half_x, half_z = size_m.x / 2, size_m.z / 2
     corners = [(-half_x, -half_z), (half_x, -half_z), (half_x, half_z), (-half_x, half_z)]
@@ -268,7 +275,10 @@ def _read_doors(house: _House, shapes: Mapping[str, ShapelyPolygon], fail: _Fail
 
 
 def _read_openings(house: _House, room_ids: set[str]) -> Iterator[Door]:
-    """Walls marked ``empty`` are not there: a pair of them, one for each room, is an opening of the wall's length."""
+    """Yield the openings.
+
+    A wall marked ``empty`` does not exist: a pair of them, one for each room, is an opening of the wall's length.
+    """
     first_sides: dict[str, _Wall] = {}
     for wall in house.walls:
         if not wall.empty or wall.roomId not in room_ids:
@@ -282,10 +292,10 @@ def _read_openings(house: _House, room_ids: set[str]) -> Iterator[Door]:
 
 
 def _wall_ends(wall_id: str, walls: Mapping[str, _Wall]) -> tuple[Point, Point] | None:
-    """Where a wall starts and ends.
+    """Return where a wall starts and ends, or None if that is unknown.
 
-    Door positions run along the wall's *polygon*, which for half of the walls is the reverse of the order in the id;
-    taking the id's order puts the opening behind furniture. The id serves only where the house lists no such wall.
+    Door positions run along the wall's *polygon*, which for half of the walls is the reverse of the order in the id.
+    Following the id's order would put the opening behind furniture. The id counts only if the house lists no such wall.
     """
     if (wall := walls.get(wall_id)) is not None:
         start, end = wall.polygon[:2]
@@ -301,7 +311,7 @@ def _wall_ends(wall_id: str, walls: Mapping[str, _Wall]) -> tuple[Point, Point] 
 
 
 def _id_type(object_id: str) -> str | None:
-    """The type in an id such as ``Fridge|2|1`` or ``Mug_3|2|0|1``; ``2|1`` and ``small|2|1`` carry none."""
+    """Return the type in an id (``Fridge|2|1``, ``Mug_3|2|0|1``), or None for ids without one (``2|1``, ``small|2|1``)."""
     head, _, rest = object_id.partition("|")
     return _ASSET_GROUP.sub("", head) if rest and head[:1].isupper() else None
 
@@ -347,7 +357,10 @@ def _held_types(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
 
 
 def _room_of(item: _Object, shapes: Mapping[str, ShapelyPolygon]) -> str | None:
-    """The room around the object's centre; of several, the one named by the id (``Bed|2|0``, ``2|0`` -> ``room|2``)."""
+    """Return the room around the object's centre.
+
+    If several rooms qualify, return the one that the id names (``Bed|2|0``, ``2|0`` -> ``room|2``).
+    """
     center = ShapelyPoint(item.position.x, item.position.z)
     around = [room_id for room_id, shape in shapes.items() if shape.distance(center) <= WALL_TOLERANCE_M]
     parts = item.id.split("|")
@@ -387,7 +400,7 @@ def _parse_json(text: str, source: str, number: int | None) -> object:
 
 
 def _first_error(error: ValidationError, source: str, number: int | None, prefix: str = "") -> HouseError:
-    """The first complaint of pydantic, with its place written as ``objects[3].position.x``."""
+    """Return the first error of pydantic, with its place written as ``objects[3].position.x``."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     path = prefix
     for part in first["loc"]:

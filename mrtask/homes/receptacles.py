@@ -1,6 +1,6 @@
-"""Which receptacles of the votes (`mrtask.homes.votes`) a container of a home stands for.
+"""Match the containers of a home with the receptacles of the votes (`mrtask.homes.votes`).
 
-By a table, ``receptacles.toml``, and by the most similar name where the table is silent.
+A table, ``receptacles.toml``, decides. For types that the table does not list, the most similar name decides.
 """
 
 import tomllib
@@ -17,12 +17,12 @@ SECTIONS = ("containers", "rooms")
 Kind = tuple[str, str]
 """``(container type, room type)``."""
 Nearest = Callable[[str, Sequence[str]], str | None]
-"""The candidate whose name is most similar to a name; None where none is similar enough."""
+"""Returns the candidate whose name is most similar to a name, or None if no name is similar enough."""
 
 
 @dataclass(frozen=True)
 class ReceptacleTable:
-    """Container type -> receptacles, and room type -> the votes' rooms, both best first."""
+    """The receptacles for each container type, and the votes' rooms for each room type, both in order of preference."""
 
     containers: Mapping[str, tuple[str, ...]]
     rooms: Mapping[str, tuple[str, ...]]
@@ -30,10 +30,10 @@ class ReceptacleTable:
 
 @dataclass(frozen=True)
 class Match:
-    """The places in the votes (their numbers) that each kind of container stands for, and what found none.
+    """The places in the votes (their numbers) that each kind of container stands for, and the types without a match.
 
-    ``by_name``: container and room types that are not in the table, with what the most similar name matched them to.
-    ``unknown``: what the table names for the homes' types, but nobody voted on.
+    ``by_name``: container and room types that are not in the table, with the most similar name that was found.
+    ``unknown``: names that the table gives for the homes' types, but on which nobody voted.
     """
 
     places: Mapping[Kind, tuple[int, ...]]
@@ -42,20 +42,20 @@ class Match:
 
     @property
     def unmatched(self) -> tuple[str, ...]:
-        """The container types without any place: they stay empty."""
+        """Return the container types without any place, which stay empty."""
         return tuple(sorted({container for (container, _), places in self.places.items() if not places}))
 
 
 def read_table(path: Path = BUNDLED_TABLE) -> ReceptacleTable:
-    """The table in a TOML file.
+    """Read the table in a TOML file.
 
     Raises:
-        VotesError: the file is missing or no such table.
+        VotesError: the file is missing or is not such a table.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise VotesError(f"{path} is no table of receptacles: {error}") from error
+        raise VotesError(f"{path} is not a table of receptacles: {error}") from error
     if wrong := [name for name in raw if name not in SECTIONS]:
         raise VotesError(f"{path}: no section {wrong[0]!r}; allowed: {', '.join(SECTIONS)}")
     for section in SECTIONS:
@@ -70,7 +70,7 @@ def read_table(path: Path = BUNDLED_TABLE) -> ReceptacleTable:
 def match_homes(
     homes: Iterable[Home], placements: Sequence[Placement], table: ReceptacleTable, nearest: Nearest
 ) -> Match:
-    """What each kind of container in the homes stands for."""
+    """Find the places in the votes that each kind of container in the homes stands for."""
     rooms, receptacles = (tuple(dict.fromkeys(pair[part] for pair in placements)) for part in (0, 1))
     by_name: dict[str, str] = {}
     unknown: set[str] = set()
@@ -92,7 +92,10 @@ def match_homes(
 
 
 def _places(wanted: Sequence[str], rooms: Sequence[str], placements: Sequence[Placement]) -> tuple[int, ...]:
-    """Those of the wanted receptacles in the first room that has any; where none has, in every room."""
+    """Return the wanted receptacles in the first room that has any.
+
+    If no room has any, return those in every room.
+    """
     for room in rooms:
         if found := tuple(n for n, (place, name) in enumerate(placements) if place == room and name in wanted):
             return found

@@ -1,10 +1,11 @@
-"""Homes with other contents: as many objects as before, of other types, where people say that they put them.
+"""Give homes other contents: as many objects as before, of other types, where people say that they put them.
 
-How many objects a home has, of how many types, and in how many containers a type lies stay what they were (ProcTHOR's,
-where the home is). Which types, and where, is drawn from the votes. A home belongs to one household: for each object it
-follows one annotator, so that things of one type lie where that household keeps them. A place is the likelier the
-better the annotator ranks it and the more of the others call it right, since they were asked room by room, never which
-room is best. Some objects lie misplaced, drawn likewise from where they may be found so.
+The number of objects in a home, the number of their types, and the number of containers in which a type lies all stay
+the same (for a ProcTHOR home, as ProcTHOR has them). Which types lie where is drawn from the votes. A home belongs to
+one household: for each object it follows one annotator, so that things of one type lie where that household keeps them.
+A place is the likelier, the better the annotator ranks it and the more of the other annotators call it right. (The
+annotators were asked room by room, never which room is best.) Some objects lie misplaced; their places are drawn in the
+same way from those where they may be found misplaced.
 """
 
 from collections import Counter
@@ -22,9 +23,9 @@ from mrtask.homes.votes import Votes
 
 @dataclass(frozen=True, eq=False)
 class Refurnisher:
-    """Draws contents from ``votes`` for containers that stand for their places by ``match``.
+    """Draws contents from ``votes`` for containers that stand for their places according to ``match``.
 
-    ``misplaced_prob``: of an object to lie where an annotator says that it may be found misplaced.
+    ``misplaced_prob`` is the probability that an object lies where an annotator says that it may be found misplaced.
     """
 
     votes: Votes
@@ -36,7 +37,10 @@ class Refurnisher:
             raise ValueError(f"misplaced_prob must be within 0 and 1, got {self.misplaced_prob}")
 
     def refurnish(self, home: Home, rng: np.random.Generator) -> Home:
-        """The home with contents drawn anew; one whose containers stand for no place of the votes is left empty."""
+        """Return the home with newly drawn contents.
+
+        If its containers stand for no place of the votes, they stay empty.
+        """
         if not home.containers:
             return home
         places = [self.match.places[kind] for kind in home.container_kinds()]
@@ -62,7 +66,10 @@ class Refurnisher:
 
     @cached_property
     def _weights(self) -> tuple[Floats, Floats]:
-        """``[K, O, A]`` for right places and for misplaced objects: inverse rank times the share of those who agree."""
+        """Return the weights ``[K, O, A]`` of right places and of places for misplaced objects.
+
+        A weight is the inverse rank times the share of the annotators who agree.
+        """
         votes, shares = self.votes, (self.votes.share_right, self.votes.share_misplaced)
         inverse = np.divide(1.0, votes.ranks, out=np.zeros(votes.ranks.shape), where=votes.ranks != 0)
         right, misplaced = (
@@ -71,7 +78,7 @@ class Refurnisher:
         return right, misplaced
 
     def _places_of(self, right: Floats, misplaced: Floats, wanted: int, rng: np.random.Generator) -> list[int]:
-        """Distinct containers for up to ``wanted`` objects of one type, given its weights ``[C, A]``."""
+        """Return distinct containers for up to ``wanted`` objects of one type, given its weights ``[C, A]``."""
         annotators = np.flatnonzero(right.any(axis=0))
         if not len(annotators):
             return []
@@ -91,5 +98,5 @@ class Refurnisher:
 
 
 def _by_container(weights: Floats, places: Sequence[Sequence[int]]) -> Floats:
-    """``[C, O, A]``: the mean over the places that each container stands for; 0 where there is none."""
+    """Return the mean ``[C, O, A]`` over the places that each container stands for, or 0 if it stands for no place."""
     return np.stack([weights[list(of)].mean(axis=0) if of else np.zeros(weights.shape[1:]) for of in places])

@@ -1,7 +1,7 @@
-"""Divides homes into training, validation and test homes by content, so that no home is in two of them.
+"""Divide homes into training, validation and test homes by content, so that no home is in two parts.
 
-Homes are ranked by a hash of their id, so the division depends on the set of homes alone: not on their order, their
-files or duplicates among them.
+Homes are ranked by a hash of their id, so the division depends only on the set of homes. Their order, their files and
+duplicates among them have no influence.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class HomeSplit:
-    """Disjoint home ids, each part sorted by id."""
+    """Disjoint home ids; each part is sorted by id."""
 
     train: tuple[str, ...]
     validation: tuple[str, ...]
@@ -21,9 +21,9 @@ class HomeSplit:
 def split_homes(
     home_ids: Iterable[str], train: int, validation: int, test: int | None = None, salt: str = ""
 ) -> HomeSplit:
-    """Take so many homes for each part; ``test=None`` takes all the rest. Another ``salt`` gives another division.
+    """Take the given number of homes for each part; ``test=None`` takes all the rest.
 
-    Raises `ValueError` when there are fewer distinct homes than asked for.
+    Another ``salt`` gives another division. Raises `ValueError` if there are fewer distinct homes than requested.
     """
     if min(train, validation, test or 0) < 0:
         raise ValueError(f"the parts cannot be negative: train={train}, validation={validation}, test={test}")
@@ -31,7 +31,7 @@ def split_homes(
     wanted = train + validation + (test or 0)
     if wanted > len(ranked):
         parts = f"train={train}, validation={validation}, test={'the rest' if test is None else test}"
-        raise ValueError(f"{wanted} homes are asked for ({parts}) but there are only {len(ranked)} distinct ones")
+        raise ValueError(f"{wanted} homes are requested ({parts}), but only {len(ranked)} distinct ones exist")
     end = len(ranked) if test is None else wanted
     return HomeSplit(
         tuple(sorted(ranked[:train])),

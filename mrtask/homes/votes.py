@@ -1,9 +1,10 @@
-"""Where people put things: ten people's votes on which receptacles of a room are a right place for an object.
+"""Where people put things: ten people's votes on which receptacles of a room are right places for an object.
 
-The data of Housekeep (Kant et al., "Housekeep: Tidying Virtual Households using Commonsense Reasoning", ECCV 2022) or
-of your own in its format: a ``.npy`` file that holds one pickled dict with ``ranks`` (int, ``[K, O, A]``: 1 is the best
-place, below 0 where the object may lie misplaced, 0 neither), ``objects`` (O names) and ``room_receptacles`` (K names
-``room|receptacle``). A pickle can run any code when it is loaded, so this reader allows nothing in it but numpy arrays.
+The data are those of Housekeep (Kant et al., "Housekeep: Tidying Virtual Households using Commonsense Reasoning", ECCV
+2022) or your own in the same format: a ``.npy`` file that holds one pickled dict with ``ranks`` (int, ``[K, O, A]``: 1
+is the best place, below 0 means that the object may lie there misplaced, 0 neither), ``objects`` (O names) and
+``room_receptacles`` (K names ``room|receptacle``). A pickle can run any code when it is loaded, so this reader accepts
+nothing in it but numpy arrays.
 """
 
 import hashlib
@@ -28,7 +29,7 @@ from mrtask.files import sha256_of
 SPLITS = ("train", "val", "test")
 ALL = "all"
 SPLITS_SHA256 = "b227b3218df7178f81c9ad081e38ceb3d5962d65f94363b4edbcc7f023b8911a"
-"""Of the published split's names, whatever the form of the file (`splits_hash`)."""
+"""The hash of the names in the published split, whatever the form of the file (`splits_hash`)."""
 
 Placement = tuple[str, str]
 """``(room, receptacle)``, in the data's own names."""
@@ -37,12 +38,12 @@ _SEPARATORS = re.compile(r"[\s_\-]+")
 
 
 class VotesError(InputError):
-    """Votes or splits that are missing, damaged, unsafe to read or not what was asked for."""
+    """Votes or splits that are missing, damaged, unsafe to read, or not the requested ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Votes:
-    """``ranks [K, O, A]`` of A annotators for O object types (``RemoteControl``) and K ``placements``."""
+    """The ``ranks [K, O, A]`` by A annotators for O object types (``RemoteControl``) and K ``placements``."""
 
     placements: tuple[Placement, ...]
     objects: tuple[str, ...]
@@ -50,16 +51,16 @@ class Votes:
 
     @property
     def share_right(self) -> Floats:
-        """``[K, O]``: the share of annotators for whom the place is right."""
+        """Return the share ``[K, O]`` of annotators for whom the place is right."""
         return np.asarray((self.ranks > 0).mean(axis=2))
 
     @property
     def share_misplaced(self) -> Floats:
-        """``[K, O]``: the share of annotators for whom the object may lie there misplaced."""
+        """Return the share ``[K, O]`` of annotators for whom the object may lie there misplaced."""
         return np.asarray((self.ranks < 0).mean(axis=2))
 
     def of(self, objects: Sequence[str]) -> "Votes":
-        """The votes on some of the objects, in the order given.
+        """Return the votes on some of the objects, in the given order.
 
         Raises:
             VotesError: nobody voted on one of them.
@@ -71,22 +72,22 @@ class Votes:
 
 
 def object_type(name: str) -> str:
-    """The data's name as an object type: ``remote_control`` -> ``RemoteControl``."""
+    """Return the data's name as an object type: ``remote_control`` -> ``RemoteControl``."""
     return "".join(word[:1].upper() + word[1:] for word in _SEPARATORS.split(name.strip()))
 
 
 def read_votes(path: Path, sha256: str | None = None) -> Votes:
-    """The votes in a file, which must have the ``sha256`` if one is given.
+    """Read the votes in a file, which must have the ``sha256`` if one is given.
 
     Raises:
-        VotesError: with what is wrong and what to do.
+        VotesError: the votes cannot be used; the message says what is wrong and what to do.
     """
     if not path.is_file():
         raise VotesError(f"no such file of votes: {path}")
     if sha256 is not None and (found := sha256_of(path)) != sha256:
         raise VotesError(
-            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or data of your own, which are read "
-            "where no checksum is asked for (contents.sha256=null)"
+            f"{path} has the sha256 {found}, expected {sha256}: it is damaged, or data of your own, which "
+            "are read only without a checksum (contents.sha256=null)"
         )
     content = _unpickle(path)
     if not isinstance(content, Mapping):
@@ -97,9 +98,9 @@ def read_votes(path: Path, sha256: str | None = None) -> Votes:
 
 
 def read_splits(path: Path, sha256: str | None = None) -> dict[str, tuple[str, ...]]:
-    """The object types of ``train``, ``val`` and ``test`` in a YAML or JSON file with the key ``objects``.
+    """Read the object types of ``train``, ``val`` and ``test`` from a YAML or JSON file with the key ``objects``.
 
-    ``sha256`` is that of the names (`splits_hash`). Raises `VotesError`.
+    ``sha256`` is the expected hash of the names (`splits_hash`). Raises `VotesError`.
     """
     if not path.is_file():
         raise VotesError(f"no such file of splits: {path}")
@@ -108,7 +109,7 @@ def read_splits(path: Path, sha256: str | None = None) -> dict[str, tuple[str, .
         splits = {name: tuple(object_type(str(entry)) for entry in raw[name]) for name in SPLITS}
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise VotesError(
-            f"{path} is no file of splits ({error}); it must list object names under objects: {', '.join(SPLITS)}"
+            f"{path} is not a file of splits ({error}); it must list object names under objects: {', '.join(SPLITS)}"
         ) from error
     names = [name for split in splits.values() for name in split]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -119,15 +120,15 @@ def read_splits(path: Path, sha256: str | None = None) -> dict[str, tuple[str, .
 
 
 def splits_hash(splits: Mapping[str, Sequence[str]]) -> str:
-    """The sha256 of which object types are in which split."""
+    """Return the sha256 of the assignment of object types to splits."""
     return hashlib.sha256(json.dumps({name: sorted(splits[name]) for name in SPLITS}).encode()).hexdigest()
 
 
 def split_objects(splits: Mapping[str, Sequence[str]], name: str) -> tuple[str, ...]:
-    """The object types of one split.
+    """Return the object types of one split.
 
     Raises:
-        VotesError: there is no such split, or it is empty.
+        VotesError: the split does not exist or is empty.
     """
     if name not in splits:
         raise VotesError(f"unknown split {name!r} of the objects; allowed: {', '.join(splits)}")
@@ -151,7 +152,9 @@ def _checked(path: Path, content: Mapping[str, Any]) -> Votes:
     types = [object_type(name) for name in objects]
     for name, kind in zip(objects, types, strict=True):
         if not kind.isidentifier():
-            raise VotesError(f"{path}: {name!r} is no object name; letters, digits and _ are allowed, a letter first")
+            raise VotesError(
+                f"{path}: {name!r} is not an object name; letters, digits and _ are allowed, a letter first"
+            )
         if types.count(kind) > 1:
             raise VotesError(f"{path}: two objects are called {name!r}; give each a name of its own")
     without = np.flatnonzero((ranks <= 0).all(axis=(0, 2)))
@@ -174,11 +177,11 @@ def _unpickle(path: Path) -> object:
     except pickle.UnpicklingError as error:
         raise VotesError(f"{path} is not read: {error}") from error
     except (OSError, ValueError, EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
-        raise VotesError(f"{path} is damaged or no file of votes ({error})") from error
+        raise VotesError(f"{path} is damaged or not a file of votes ({error})") from error
     return content.item() if isinstance(content, np.ndarray) and content.shape == () else content
 
 
-# How numpy rebuilds a scalar and an array, by whatever name this numpy has them.
+# The functions with which numpy rebuilds a scalar and an array; their names depend on numpy's version.
 _SCALAR, _RECONSTRUCT = np.float64(0).__reduce__()[0], np.zeros(0).__reduce__()[0]
 _ALLOWED: Mapping[str, Any] = {
     "numpy.core.multiarray.scalar": _SCALAR,
@@ -188,14 +191,14 @@ _ALLOWED: Mapping[str, Any] = {
     "numpy.ndarray": np.ndarray,
     "numpy.dtype": np.dtype,
 }
-"""What a pickle of arrays, strings and lists needs, by the module names of numpy 1 and 2."""
+"""The names that a pickle of arrays, strings and lists needs, by the module names of numpy 1 and 2."""
 
 
 class _ArraysOnly(pickle.Unpickler):
-    """Refuses every class and function but numpy's for arrays."""
+    """Refuses every class and function except numpy's for arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """The allowed class of that name."""
+        """Return the allowed class of that name."""
         if (full := f"{module}.{name}") not in _ALLOWED:
             raise pickle.UnpicklingError(f"its pickle asks for {full}; only numpy's arrays are allowed")
         return _ALLOWED[full]

@@ -1,15 +1,15 @@
-"""A belief that learns in a home: searches correct what a likelihood model says about this household.
+"""Adapt a belief in a home: searches correct what a likelihood model says about this household.
 
-The model of a household. Each kind of container (type and room type) has a habit ``v``: this household puts more or
-less of everything there than the likelihood model thinks. Within a kind, each object has a habit ``w`` too. Both add to
-the log odds:
+The model of a household: each kind of container (type and room type) has a habit ``v``, because this household puts
+more or less of everything there than the likelihood model thinks. Within a kind, each object has a habit ``w`` too.
+Both add to the log odds:
 
     P(object in container) = sigmoid(b + v + w),   v ~ kind_sd * N,   w ~ object_sd * N,
 
-with ``b`` such that, before anything was seen, the probability is the likelihood model's. Between one task and the
-next, whether a container holds an object is drawn anew with probability ``forget``, and stays the same if not. ``N``
-is the standard normal distribution on the ``NODES`` points of Gauss-Hermite quadrature, so that Bayes' rule is exact:
-sums over ``w`` within an object, over ``v`` within a kind; kinds are independent.
+where ``b`` is chosen such that the probability equals the likelihood model's before anything was seen. Between one task
+and the next, whether a container holds an object is drawn again with probability ``forget``, and otherwise stays the
+same. ``N`` is the standard normal distribution on the ``NODES`` points of Gauss-Hermite quadrature. Bayes' rule is
+therefore exact: sums over ``w`` within an object and over ``v`` within a kind. Kinds are independent.
 """
 
 from collections import defaultdict
@@ -33,10 +33,10 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True)
 class AdaptOptions:
-    """How far households differ from the likelihood model, and how soon they put things elsewhere.
+    """How far households differ from the likelihood model, and how soon they move things elsewhere.
 
-    ``kind_sd``, ``object_sd``: standard deviations in log odds, chosen by ``benchmarks/bench_belief.py``. ``forget``:
-    the probability, per task, that it is drawn anew whether a container holds an object.
+    ``kind_sd`` and ``object_sd`` are standard deviations in log odds, chosen by ``benchmarks/bench_belief.py``.
+    ``forget`` is the probability, per task, that the presence of an object in a container is drawn again.
     """
 
     kind_sd: float = 0.5
@@ -50,7 +50,7 @@ class AdaptOptions:
 
 @dataclass(frozen=True)
 class Sighting:
-    """In its ``task`` (counted from 0) a container was searched and held the object, or did not."""
+    """In ``task`` (counted from 0), a container was searched and did or did not hold the object."""
 
     task: int
     container: int
@@ -59,7 +59,7 @@ class Sighting:
 
 
 def sightings_of(home: Home, task: int, searched: Sequence[bool], objects: Sequence[str]) -> tuple[Sighting, ...]:
-    """What a finished episode saw: of each container that was ``searched [C]``, which of its task's objects it held."""
+    """Return the sightings of a finished episode: which task objects each container that was ``searched [C]`` held."""
     return tuple(
         Sighting(task, number, name, name in container.objects)
         for number, (container, seen) in enumerate(zip(home.containers, searched, strict=True))
@@ -76,12 +76,12 @@ def adapted(
     task: int,
     options: AdaptOptions,
 ) -> Floats:
-    """Return ``P(object in container)``, ``[C, O]``, at the beginning of a task, given what earlier tasks showed.
+    """Return ``P(object in container)``, ``[C, O]``, at the beginning of a task, given the sightings of earlier tasks.
 
     Args:
-        prior: [C, O] the likelihood model's.
-        objects: O names, with those of all sightings among them.
-        kinds: C kinds of containers: those of one kind share their habits.
+        prior: [C, O] the probabilities of the likelihood model.
+        objects: O names, which include those of all sightings.
+        kinds: C kinds of containers; containers of one kind share their habits.
 
     Raises:
         ValueError: a sighting of an unknown object or of a later task, or sightings that contradict each other: those
@@ -108,7 +108,7 @@ def adapted(
 
 
 def _kind_posterior(theta: Floats, evidence: Floats, weights: Floats) -> Floats:
-    """The means ``[M, O]`` of ``theta [M, O, V, W]`` for a kind's M containers, given the evidence of each cell."""
+    """Return the means ``[M, O]`` of ``theta [M, O, V, W]`` for a kind's M containers, given each cell's evidence."""
     log_evidence = np.log(evidence).sum(axis=0)  # [O, V, W]
     by_object = np.exp(log_evidence - log_evidence.max(axis=(1, 2), keepdims=True))
     given_habit = np.log(by_object @ weights)  # [O, V], summed over the object's own habit
@@ -119,7 +119,7 @@ def _kind_posterior(theta: Floats, evidence: Floats, weights: Floats) -> Floats:
 
 
 def _likelihood(history: Sequence[tuple[int, bool]], theta: Floats, forget: float) -> Floats:
-    """How probable a cell's sightings (task, present) are, for each ``theta``."""
+    """Return how probable a cell's sightings (task, present) are for each ``theta``."""
     drawn = [theta if present else 1.0 - theta for _, present in history]
     result = drawn[0]
     for (earlier, later), anew in zip(pairwise(history), drawn[1:], strict=True):
@@ -131,12 +131,14 @@ def _likelihood(history: Sequence[tuple[int, bool]], theta: Floats, forget: floa
 def _by_cell(
     sightings: Sequence[Sighting], objects: Sequence[str], task: int, forget: float
 ) -> dict[Cell, list[tuple[int, bool]]]:
-    """Each cell's sightings in the order of tasks, one per task."""
+    """Return each cell's sightings in the order of tasks, one per task."""
     column = {name: index for index, name in enumerate(objects)}
     found: defaultdict[Cell, dict[int, bool]] = defaultdict(dict)
     for sighting in sightings:
         if sighting.object not in column or sighting.task >= task:
-            raise ValueError(f"{sighting} is of no object among {', '.join(objects)}, or of no task before {task}")
+            raise ValueError(
+                f"{sighting} is about none of the objects {', '.join(objects)}, or about no task before {task}"
+            )
         history = found[sighting.container, column[sighting.object]]
         if history.setdefault(sighting.task, sighting.present) != sighting.present:
             raise ValueError(f"{sighting} contradicts another of the same task")
@@ -152,20 +154,20 @@ def _by_cell(
 
 
 def _offsets(prior: Floats, shift: Floats, weights: Floats) -> Floats:
-    """``b [C, O]``, so that the mean of ``sigmoid(b + shift)`` over all habits is the prior."""
+    """Return ``b [C, O]`` such that the mean of ``sigmoid(b + shift)`` over all habits is the prior."""
     weight = np.outer(weights, weights).ravel()
-    wanted, where = np.unique(clip_probs(prior), return_inverse=True)  # containers of one kind have the same
+    wanted, where = np.unique(clip_probs(prior), return_inverse=True)  # containers of one kind have the same habits
 
     def excess(offset: Floats, wanted: Floats) -> Floats:
         return np.asarray(expit(offset[..., None] + shift.ravel()) @ weight - wanted)
 
-    # The mean lies between the least and the greatest of what it is the mean of; 1 for where these are the same.
+    # A mean lies between the least and the greatest of its terms; the 1 is for terms that are all equal.
     widest = np.abs(shift).max() + 1.0
     found = elementwise.find_root(excess, (logit(wanted) - widest, logit(wanted) + widest), args=(wanted,))
     return np.asarray(found.x[where].reshape(prior.shape))
 
 
 def _standard_normal() -> tuple[Floats, Floats]:
-    """The points ``[NODES]`` and weights of Gauss-Hermite quadrature for mean 0 and standard deviation 1."""
+    """Return the points ``[NODES]`` and weights of Gauss-Hermite quadrature for mean 0 and standard deviation 1."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     return nodes, weights / weights.sum()

@@ -1,7 +1,7 @@
 """A likelihood model that needs no training data: the similarity model on the catalogue's counts.
 
-It serves for a map of your own before you have trained anything. It knows ProcTHOR's rates, as far as the catalogue has
-them (`mrtask.homes.catalogue`); names that are not in the catalogue get the rates of similar names.
+Use it on a map of your own before you have trained anything. It knows ProcTHOR's rates as far as the catalogue has them
+(`mrtask.homes.catalogue`). Names that are not in the catalogue get the rates of similar names.
 """
 
 from functools import cache
@@ -14,11 +14,11 @@ from mrtask.likelihood.rows import TRIPLE
 from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 CONTAINERS_OF_A_KIND = 100
-"""The weight of each (container type, room type): the catalogue has the rates, not the counts behind them."""
+"""The weight of each (container type, room type), since the catalogue has the rates but not the counts behind them."""
 
 
 def catalogue_triples() -> pd.DataFrame:
-    """``object, container, room, positives, count`` for all objects and kinds of containers of the catalogue."""
+    """Return ``object, container, room, positives, count`` for all objects and kinds of containers of the catalogue."""
     kinds = [
         (container, room, facts["likelihoods"])
         for room, containers in load_catalogue().objects.items()

@@ -1,8 +1,8 @@
 """The dataset on disk: ``rows.parquet``, ``manifest.json`` and a data card, checked whenever written or read.
 
-Homes, not rows, are split into train, validation and test, so no home is in two splits. The vocabulary is that of the
-training homes. The manifest is written last and holds the hash of the rows: a folder whose manifest does not fit its
-rows is refused.
+Homes, not rows, are split into train, validation and test, so that no home is in two splits. The vocabulary is that of
+the training homes. The manifest is written last and holds the hash of the rows. A folder whose manifest does not match
+its rows is refused.
 """
 
 import hashlib
@@ -26,15 +26,16 @@ ROWS_FILE, MANIFEST_FILE, CARD_FILE = "rows.parquet", "manifest.json", "README.m
 
 
 class DatasetError(InputError):
-    """A dataset that is missing, damaged or not what its manifest says."""
+    """A dataset that is missing, damaged, or different from what its manifest says."""
 
 
 @dataclass(frozen=True)
 class Manifest:
     """What a dataset is and where it came from.
 
-    ``inputs_hash`` depends on the homes and their split alone (see ``inputs_hash()``): equal means no need to rebuild.
-    ``content_hash`` is that of the rows. ``counts``: per split ``homes, containers, rows, positives, positive_share``.
+    ``inputs_hash`` depends only on the homes and their split (see ``inputs_hash()``); if it is equal, a rebuild is
+    unnecessary. ``content_hash`` is the hash of the rows. ``counts`` holds, per split, ``homes, containers, rows,
+    positives, positive_share``.
     """
 
     source: str
@@ -57,7 +58,7 @@ class Dataset:
     _triples: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
 
     def triples(self, split: str) -> pd.DataFrame:
-        """The distinct triples of one split with ``positives`` and ``count``."""
+        """Return the distinct triples of one split with ``positives`` and ``count``."""
         if split not in SPLITS:
             raise ValueError(f"unknown split {split!r}; allowed: {', '.join(SPLITS)}")
         if split not in self._triples:
@@ -66,7 +67,7 @@ class Dataset:
 
 
 def inputs_hash(split: Mapping[str, Sequence[str]]) -> str:
-    """The hash of the homes' content and their split; ``split`` maps train, validation, test to home ids (hashes)."""
+    """Return the hash of the homes' content and split; ``split`` maps train, validation, test to home ids (hashes)."""
     content = {name: sorted(split.get(name, ())) for name in SPLITS}
     return hashlib.sha256(json.dumps([FORMAT_VERSION, content]).encode()).hexdigest()
 
@@ -79,10 +80,10 @@ def build_dataset(
     code_version: str,
     frames: Iterable[pd.DataFrame] | None = None,
 ) -> Dataset:
-    """The dataset of homes given by split (``train`` needed, ``validation`` and ``test`` may be empty).
+    """Build the dataset of homes given by split (``train`` is required; ``validation`` and ``test`` may be empty).
 
-    ``frames`` are the ``label_rows`` of all homes, in any order, where the caller has made them in parallel.
-    Raises ``DatasetError`` when there is no training home, no object in them, or a home on two sides.
+    ``frames`` are the ``label_rows`` of all homes, in any order, for callers that made them in parallel. Raises
+    ``DatasetError`` if no home is for training, the training homes hold no object, or a home is in two splits.
     """
     unknown = set(homes) - set(SPLITS)
     if unknown:
@@ -120,7 +121,7 @@ def build_dataset(
 
 
 def write_dataset(dataset: Dataset, folder: Path) -> None:
-    """Write rows, data card and, last, the manifest; each file appears whole or not at all."""
+    """Write rows, data card and, last, the manifest. Each file appears whole or not at all."""
     rows = _checked(dataset.rows)
     with replacing(folder / ROWS_FILE) as path:
         rows.to_parquet(path, index=False, compression="zstd")
@@ -131,7 +132,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read the manifest alone (cheap); raises ``DatasetError`` if it is missing or of another format."""
+    """Read the manifest alone (cheap). Raises ``DatasetError`` if it is missing or has another format."""
     path = folder / MANIFEST_FILE
     if not path.is_file():
         raise DatasetError(f"no dataset in {folder} ({MANIFEST_FILE} is missing): run python -m pipeline.dataset")
@@ -144,11 +145,11 @@ def read_manifest(folder: Path) -> Manifest:
         raw["split"] = {name: tuple(ids) for name, ids in raw["split"].items()}
         return Manifest(**raw)
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise DatasetError(f"{path} is no dataset manifest ({error}): delete the folder and rebuild it") from error
+        raise DatasetError(f"{path} is not a dataset manifest ({error}): delete the folder and rebuild it") from error
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """The dataset of a folder, its rows checked against the schema and the manifest's hash."""
+    """Read the dataset of a folder, and check its rows against the schema and the manifest's hash."""
     manifest = read_manifest(folder)
     path = folder / ROWS_FILE
     try:
@@ -170,7 +171,7 @@ def is_current(folder: Path, split: Mapping[str, Sequence[str]]) -> bool:
 
 
 def data_card(manifest: Manifest) -> str:
-    """A short description for people, in Markdown."""
+    """Return a short description for people, in Markdown."""
     lines = [
         "# Labelled rows: which object types lie in which containers",
         "",
@@ -216,7 +217,7 @@ def _checked(rows: pd.DataFrame) -> pd.DataFrame:
     try:
         return ROW_SCHEMA.validate(rows)
     except pa.errors.SchemaError as error:
-        raise DatasetError(f"the dataset's rows break their schema: {error}") from error
+        raise DatasetError(f"the dataset's rows do not match their schema: {error}") from error
 
 
 def _content_hash(rows: pd.DataFrame) -> str:

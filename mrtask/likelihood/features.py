@@ -1,6 +1,7 @@
-"""What a model on embeddings sees of (object, container type, room type): three embeddings, each with its kind.
+"""The input of a model on embeddings for (object, container type, room type): three embeddings, each with its kind.
 
-The paper's input: the embedding of a name (D numbers) and a one-hot of what kind of thing it names, D + 4 in all.
+As in the paper, each part is the embedding of a name (D numbers) and a one-hot of the kind of thing that it names, D +
+4 numbers in all.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ KINDS = ("home", "room", "container", "object")
 
 @dataclass(frozen=True, eq=False)
 class NameFeatures:
-    """Features of N triples, each distinct name's kept once: part ``p`` of row ``n`` is ``vectors[p][codes[p, n]]``."""
+    """The features of N triples, once per distinct name: part ``p`` of row ``n`` is ``vectors[p][codes[p, n]]``."""
 
     vectors: tuple[NDArray[np.float32], ...]
     codes: Ints
@@ -29,7 +30,7 @@ class NameFeatures:
 
     @property
     def width(self) -> int:
-        """The length of a row."""
+        """Return the length of a row."""
         return sum(part.shape[1] for part in self.vectors)
 
     def rows(self) -> NDArray[np.float32]:
@@ -38,7 +39,10 @@ class NameFeatures:
 
 
 def name_features(names: pd.DataFrame, embedding: str, cache_dir: Path | None = None) -> NameFeatures:
-    """Those of a frame with the columns ``object``, ``container``, ``room``: three parts of ``D + 4`` numbers."""
+    """Return the features of a frame with the columns ``object``, ``container``, ``room``.
+
+    They are three parts of ``D + 4`` numbers.
+    """
     vectors, codes = [], []
     for kind in TRIPLE:
         code, distinct = pd.factorize(names[kind])
@@ -51,5 +55,5 @@ def name_features(names: pd.DataFrame, embedding: str, cache_dir: Path | None = 
 
 
 def encode_triples(names: pd.DataFrame, embedding: str, cache_dir: Path | None = None) -> NDArray[np.float32]:
-    """``[N, 3 * (D + 4)]`` for a frame with the columns ``object``, ``container``, ``room``."""
+    """Return ``[N, 3 * (D + 4)]`` for a frame with the columns ``object``, ``container``, ``room``."""
     return name_features(names, embedding, cache_dir).rows()

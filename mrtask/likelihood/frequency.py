@@ -1,8 +1,8 @@
-"""The frequency table: how often containers held each object in training, by container and room type, smoothed.
+"""The frequency table: how often containers held each object in training, smoothed, by container and room type.
 
-This is the baseline that every learned model must beat. Each estimate is a count shrunk towards the next
-coarser one: (object, container, room) towards (object, container), towards (object), towards all rows; so an
-unseen name backs off to what is known without it.
+Every learned model must beat this baseline. Each estimate is a count shrunk towards the next coarser one: (object,
+container, room) towards (object, container), towards (object), towards all rows. An unseen name thus falls back on what
+is known without it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,28 +23,28 @@ from mrtask.likelihood.rows import TRIPLE
 KIND = "frequency"
 COUNTS = ["positives", "count"]
 LEVELS = (["container", "room"], ["object"], ["object", "container"], TRIPLE)
-"""From coarse to fine."""
+"""The levels from coarse to fine."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrequencyModel:
-    """Counts of the training triples; ``strength``: how many rows the coarser estimate is worth."""
+    """The counts of the training triples. The coarser estimate is worth ``strength`` rows."""
 
     triples: pd.DataFrame
     strength: float = 5.0
 
     @property
     def kind(self) -> str:
-        """``frequency``."""
+        """Return ``frequency``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        """Return probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         return self._probs(self._counts_of(names), self.strength)
 
     def smoothed_by(self, validation: pd.DataFrame) -> "FrequencyModel":
-        """The same with the strength that predicts other homes best; see ``TrainingOptions``."""
+        """Return the model with the strength that predicts other homes best; see ``TrainingOptions``."""
         if not len(validation):
             return replace(self, strength=SMOOTHINGS[0])
         counts = self._counts_of(validation)
@@ -59,16 +59,19 @@ class FrequencyModel:
 
     @classmethod
     def load(cls, folder: Path, description: Mapping[str, Any]) -> "FrequencyModel":
-        """The model of a folder whose ``model.json`` has been read."""
+        """Load the model of a folder whose ``model.json`` has been read."""
         return cls(read_triples(folder), float(description["strength"]))
 
     @cached_property
     def _tables(self) -> list[pd.DataFrame]:
-        """``positives`` and ``count`` of each group, per level."""
+        """Return ``positives`` and ``count`` of each group, per level."""
         return [self.triples.groupby(level)[COUNTS].sum() for level in LEVELS]
 
     def _counts_of(self, names: pd.DataFrame) -> list[Floats]:
-        """[2, N] positives and count of the groups that the names belong to, per level; 0 for a group never seen."""
+        """Return positives and count [2, N] of the groups to which the names belong, per level.
+
+        They are 0 for a group never seen.
+        """
         found = (
             names[level].merge(table, left_on=level, right_index=True, how="left")[COUNTS].fillna(0.0)
             for level, table in zip(LEVELS, self._tables, strict=True)

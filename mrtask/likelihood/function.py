@@ -1,4 +1,4 @@
-"""The user's own likelihood: any function of three names."""
+"""The user's own likelihood model: any function of three names."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from mrtask.likelihood.rows import TRIPLE
 class FunctionModel:
     """``function(object, container, room)`` is the probability that such a container holds the object.
 
-    It is called once for each distinct triple, in order of appearance.
+    The function is called once for each distinct triple, in order of appearance.
     """
 
     function: Callable[[str, str, str], float]
 
     @property
     def kind(self) -> str:
-        """``function``."""
+        """Return ``function``."""
         return "function"
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``.
+        """Return probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``.
 
         Raises:
             InputError: the function returned something that is not a probability.
@@ -41,7 +41,7 @@ class FunctionModel:
         return clip_probs(np.array([known[triple] for triple in names[TRIPLE].itertuples(index=False, name=None)]))
 
     def save(self, folder: Path) -> None:
-        """A function cannot be stored; raises ``InputError``."""
+        """Raise ``InputError``, because a function cannot be stored."""
         raise InputError("a likelihood given as a function cannot be saved; keep a `build_table` of it instead")
 
     def _ask(self, triple: tuple[str, str, str]) -> float:

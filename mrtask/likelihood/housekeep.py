@@ -1,9 +1,9 @@
 """Votes on where things belong (`mrtask.homes.votes`) as labelled rows, and Housekeep's measure of a model on them.
 
-The measure (Kant et al., ECCV 2022): for each object and room, the receptacles of the room are ranked by the model. One
-is right when more than half of the people called it so. The score is the mean, over the pairs of object and room that
-have a right receptacle, of the ranking's average precision. Published and recomputed figures leave out one object of
-the test split, the guitar.
+The measure (Kant et al., ECCV 2022): for each object and room, the model ranks the room's receptacles. A receptacle is
+right if more than half of the people called it so. The score is the mean, over the pairs of object and room that have a
+right receptacle, of the ranking's average precision. Both the published and the recomputed figures leave out one object
+of the test split, the guitar.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.rows import TRIPLE
 
 LEFT_OUT = frozenset({"Guitar"})
-"""Objects of the test split that the published measure does not count."""
+"""The objects of the test split that the published measure does not count."""
 
 PUBLISHED: Mapping[str, float] = {
     "RoBERTa, contrastive": 0.808,
@@ -29,7 +29,7 @@ PUBLISHED: Mapping[str, float] = {
 
 
 def vote_triples(votes: Votes) -> pd.DataFrame:
-    """One row for each object and place: ``object, container, room, positives, count``, a row of each annotator's.
+    """Return one row for each object and place: ``object, container, room, positives, count``.
 
     ``positives`` of ``count`` annotators call the place right.
     """
@@ -47,12 +47,14 @@ def vote_triples(votes: Votes) -> pd.DataFrame:
 
 
 def predict_votes(model: LikelihoodModel, votes: Votes) -> Floats:
-    """The model's probabilities ``[K, O]`` for all places and objects of the votes."""
+    """Return the model's probabilities ``[K, O]`` for all places and objects of the votes."""
     return model.predict(vote_triples(votes)[TRIPLE]).reshape(len(votes.placements), len(votes.objects))
 
 
 def mean_average_precision(scores: Floats, votes: Votes) -> tuple[float, int]:
-    """The measure for ``scores [K, O]``, the higher the better a place, and over how many pairs it is the mean.
+    """Return the measure for ``scores [K, O]`` and the number of pairs over which it is the mean.
+
+    A higher score means a better place.
 
     Raises:
         VotesError: no object has a right place.

@@ -1,4 +1,4 @@
-"""The likelihood models by kind: how each is trained, and loaded from the folder where it was saved.
+"""The likelihood models by kind: how each is trained, and how it is loaded from the folder where it was saved.
 
 A new kind is a module with a model (`mrtask.likelihood.model.LikelihoodModel`) and a line in `KINDS`.
 """
@@ -20,7 +20,7 @@ from mrtask.likelihood.similarity import SimilarityModel, train_similarity
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What a model is trained on: triples with ``positives`` and ``count``; ``tell`` announces each long step."""
+    """The data for training a model: triples with ``positives`` and ``count``. ``tell`` announces each long step."""
 
     train: pd.DataFrame
     validation: pd.DataFrame
@@ -30,12 +30,12 @@ class Job:
 
 
 Fitted = tuple[LikelihoodModel, list[EpochMetrics]]
-"""A model and, for networks, its metrics per epoch."""
+"""A trained model and, for networks, its metrics per epoch."""
 Description = Mapping[str, Any]
 
 
 class Kind(NamedTuple):
-    """One kind of model. ``trained_at_once``: in seconds, so that it is also measured on names never seen."""
+    """One kind of model. With ``trained_at_once``, training takes seconds, so it is also measured on unseen names."""
 
     train: Callable[[Job], Fitted]
     load: Callable[[Path, Description, Path | None], LikelihoodModel]
@@ -104,7 +104,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def load_model(folder: Path, cache_dir: Path | None = None) -> LikelihoodModel:
-    """Load a stored model of whatever kind; ``cache_dir`` keeps the embeddings of names (``embed_names``).
+    """Load a stored model of any kind; ``cache_dir`` keeps the embeddings of names (``embed_names``).
 
     Raises:
         ModelError: the model is missing, damaged, or of a kind that this version does not know.

@@ -1,4 +1,4 @@
-"""Logistic regression on the embeddings: the simplest model that can speak about unseen names."""
+"""Logistic regression on the embeddings: the simplest model that can score unseen names."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ class LogisticModel:
 
     @property
     def kind(self) -> str:
-        """``logistic``."""
+        """Return ``logistic``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        """Return probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         if not len(names):
             return np.zeros(0)
@@ -50,7 +50,7 @@ class LogisticModel:
 
     @classmethod
     def load(cls, folder: Path, description: Mapping[str, Any], cache_dir: Path | None = None) -> "LogisticModel":
-        """The model of a folder whose ``model.json`` has been read."""
+        """Load the model of a folder whose ``model.json`` has been read."""
         weights = load_file(folder / WEIGHTS_FILE)
         return cls(weights["coefficients"], float(weights["intercept"][0]), str(description["embedding"]), cache_dir)
 

@@ -1,4 +1,4 @@
-"""How good probabilities are: ranking (ROC AUC, average precision), sharpness (log loss, Brier) and calibration.
+"""Measure how good probabilities are: ranking (ROC AUC, average precision), sharpness (log loss, Brier), calibration.
 
 Everything is computed on distinct triples with counts, which gives exactly the row-wise values.
 """
@@ -12,10 +12,10 @@ CALIBRATION_BINS = 10
 
 
 def evaluate(probs: Floats, triples: pd.DataFrame) -> dict[str, float]:
-    """Metrics of ``probs [N]`` on N triples with ``positives`` and ``count``.
+    """Return the metrics of ``probs [N]`` on N triples with ``positives`` and ``count``.
 
-    ``roc_auc`` and ``average_precision`` are NaN where only one label occurs. ``best_log_loss`` is what the triples'
-    own frequencies would score: no model on names alone can do better on these rows.
+    ``roc_auc`` and ``average_precision`` are NaN if only one label occurs. ``best_log_loss`` is the log loss of the
+    triples' own frequencies: no model on names alone can do better on these rows.
     """
     from sklearn.metrics import average_precision_score, roc_auc_score  # comes with mrtask[train]
 
@@ -42,9 +42,9 @@ def evaluate(probs: Floats, triples: pd.DataFrame) -> dict[str, float]:
 
 
 def reliability(probs: Floats, triples: pd.DataFrame, bins: int = CALIBRATION_BINS) -> pd.DataFrame:
-    """Predicted against observed: ``mean_prob, frequency, rows`` per bin of about equally many rows, lowest first.
+    """Compare predicted with observed: ``mean_prob, frequency, rows`` per bin of about equally many rows, lowest first.
 
-    Bins of equal mass, because nearly all probabilities are small: bins of equal width would put them all in one.
+    The bins have equal mass because nearly all probabilities are small; bins of equal width would put them all in one.
     """
     count = triples["count"].to_numpy(dtype=np.float64)
     order = np.argsort(probs, kind="stable")
@@ -70,7 +70,7 @@ def reliability(probs: Floats, triples: pd.DataFrame, bins: int = CALIBRATION_BI
 
 
 def evaluate_by(probs: Floats, triples: pd.DataFrame, column: str) -> pd.DataFrame:
-    """``evaluate`` for each value of ``object``, ``container`` or ``room``, most rows first."""
+    """Return ``evaluate`` for each value of ``object``, ``container`` or ``room``, most rows first."""
     records = []
     for value, index in triples.reset_index(drop=True).groupby(column).groups.items():
         part = index.to_numpy()
@@ -79,7 +79,7 @@ def evaluate_by(probs: Floats, triples: pd.DataFrame, column: str) -> pd.DataFra
 
 
 def log_loss(probs: Floats, triples: pd.DataFrame) -> float:
-    """The mean log loss of ``probs [N]`` over the rows behind N triples with ``positives`` and ``count``."""
+    """Return the mean log loss of ``probs [N]`` over the rows behind N triples with ``positives`` and ``count``."""
     positives = triples["positives"].to_numpy(dtype=np.float64)
     count = triples["count"].to_numpy(dtype=np.float64)
     total = (positives * np.log(probs) + (count - positives) * np.log1p(-probs)).sum()

@@ -1,7 +1,7 @@
-"""The seam between likelihood models and their users: names in, probabilities out; and how a model is stored.
+"""The interface between likelihood models and their users (names in, probabilities out), and how a model is stored.
 
 A stored model is a folder with ``model.json`` (its ``kind``, options and the sha256 of every other file) and plain data
-files (safetensors, CSV). Nothing in it is code, so loading one runs none.
+files (safetensors, CSV). It contains no code, so loading one runs none.
 """
 
 import json
@@ -22,7 +22,7 @@ FORMAT_VERSION = 1
 DESCRIPTION_FILE = "model.json"
 COUNTS_FILE = "counts.csv"
 PROB_FLOOR = 1e-6
-"""No model is closer to certainty than this, so that log loss and a belief's normalisation stay finite."""
+"""No model is closer to certainty than this, so that the log loss and a belief's normalisation stay finite."""
 
 
 class LikelihoodModel(Protocol):
@@ -30,11 +30,11 @@ class LikelihoodModel(Protocol):
 
     @property
     def kind(self) -> str:
-        """Its name in `mrtask.likelihood.kinds.KINDS`."""
+        """Return the model's name in `mrtask.likelihood.kinds.KINDS`."""
         ...
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` in (0, 1) for a frame with the columns ``object``, ``container``, ``room``."""
+        """Return probabilities ``[N]`` in (0, 1) for a frame with the columns ``object``, ``container``, ``room``."""
         ...
 
     def save(self, folder: Path) -> None:
@@ -43,7 +43,7 @@ class LikelihoodModel(Protocol):
 
 
 class ModelError(InputError):
-    """A stored model that is missing, damaged or of another format."""
+    """A stored model that is missing, damaged, or in another format."""
 
 
 def check_names(names: pd.DataFrame) -> None:
@@ -58,12 +58,12 @@ def check_names(names: pd.DataFrame) -> None:
 
 
 def clip_probs(probs: NDArray[np.floating[Any]]) -> Floats:
-    """The probabilities as float64 within ``PROB_FLOOR`` of 0 and 1."""
+    """Return the probabilities as float64, at least ``PROB_FLOOR`` away from 0 and 1."""
     return np.clip(probs.astype(np.float64), PROB_FLOOR, 1.0 - PROB_FLOOR)
 
 
 def write_description(folder: Path, kind: str, content: Mapping[str, object]) -> None:
-    """Write ``model.json`` last, with the hash of every file that the folder holds already."""
+    """Write ``model.json`` last, with the hash of every file that is already in the folder."""
     files = {
         path.relative_to(folder).as_posix(): sha256_of(path) for path in sorted(folder.rglob("*")) if path.is_file()
     }
@@ -73,7 +73,7 @@ def write_description(folder: Path, kind: str, content: Mapping[str, object]) ->
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """``model.json`` of a folder, once format and every file's hash are found right."""
+    """Read ``model.json`` of a folder, and check the format and every file's hash."""
     path = folder / DESCRIPTION_FILE
     if not path.is_file():
         raise ModelError(f"no likelihood model in {folder}: {DESCRIPTION_FILE} is missing; train one first")
@@ -97,12 +97,12 @@ def read_description(folder: Path) -> dict[str, Any]:
 
 
 def write_triples(triples: pd.DataFrame, folder: Path) -> None:
-    """Keep training counts as ``counts.csv``."""
+    """Write training counts as ``counts.csv``."""
     triples[[*TRIPLE, "positives", "count"]].to_csv(folder / COUNTS_FILE, index=False)
 
 
 def read_triples(folder: Path) -> pd.DataFrame:
-    """The training counts of a folder, names as they were (``NA`` and the like are names)."""
+    """Read the training counts of a folder, with names unchanged (``NA`` and the like are names)."""
     triples = pd.read_csv(folder / COUNTS_FILE, keep_default_na=False, dtype=dict.fromkeys(TRIPLE, "str"))
     if list(triples.columns) != [*TRIPLE, "positives", "count"]:
         raise ModelError(f"{folder / COUNTS_FILE} has the columns {list(triples.columns)}; train the model again")

@@ -1,7 +1,7 @@
-"""The likelihood network: the paper's (section IV), and smaller ones of the same build.
+"""The likelihood network: the paper's (section IV), and smaller ones with the same structure.
 
-Embeddings and kind tags in (``features.encode_triples``), fully connected layers each with batch norm and leaky ReLU,
-one sigmoid out. Training: `mrtask.likelihood.network_training`.
+The inputs are embeddings and kind tags (``features.encode_triples``). Fully connected layers follow, each with batch
+norm and leaky ReLU, and one sigmoid output. `mrtask.likelihood.network_training` trains it.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ WEIGHTS_FILE = "weights.safetensors"
 
 @dataclass(frozen=True, eq=False)
 class NetworkModel:
-    """A trained network with the name of the embedding that it was trained on."""
+    """A trained network, with the name of the embedding on which it was trained."""
 
     kind: str
     module: nn.Sequential
@@ -36,7 +36,7 @@ class NetworkModel:
     cache_dir: Path | None = None
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        """Return probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         if not len(names):
             return np.zeros(0)
@@ -51,7 +51,7 @@ class NetworkModel:
 
     @classmethod
     def load(cls, folder: Path, description: Mapping[str, Any], cache_dir: Path | None = None) -> "NetworkModel":
-        """The model of a folder whose ``model.json`` has been read."""
+        """Load the model of a folder whose ``model.json`` has been read."""
         try:
             layers = tuple(int(width) for width in description["layers"])
             module = build_module(int(description["input_size"]), layers, seed=0)
@@ -62,7 +62,10 @@ class NetworkModel:
 
 
 def build_module(input_size: int, layers: tuple[int, ...], seed: int, dropout: float = 0.0) -> nn.Sequential:
-    """Linear, batch norm, leaky ReLU per width in ``layers``, then one linear output (the logit); drawn by seed."""
+    """Build linear, batch norm and leaky ReLU per width in ``layers``, then one linear output (the logit).
+
+    The seed decides the initial weights.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         parts: list[nn.Module] = []
@@ -76,14 +79,17 @@ def build_module(input_size: int, layers: tuple[int, ...], seed: int, dropout: f
 
 
 def output_layer(module: nn.Sequential) -> nn.Linear:
-    """The last layer, whose output is the logit."""
+    """Return the last layer, whose output is the logit."""
     last = module[-1]
     assert isinstance(last, nn.Linear)
     return last
 
 
 def predict_features(module: nn.Module, features: NDArray[np.float32], batch_size: int = 4096) -> Floats:
-    """Sigmoid of the network's output, ``[N]``, for features ``[N, F]``; the network is put in evaluation mode."""
+    """Return the sigmoid of the network's output, ``[N]``, for features ``[N, F]``.
+
+    This puts the network in evaluation mode.
+    """
     device = next(module.parameters()).device
     module.eval()
     with torch.inference_mode():

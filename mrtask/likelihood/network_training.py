@@ -1,15 +1,16 @@
-"""How the likelihood network is trained.
+"""Train the likelihood network.
 
-It is trained on distinct triples drawn in proportion to their counts, with the share of positives as label: loss and
-batch statistics are then in expectation those of the single rows, at a hundredth of the cost. Few names make many
-triples, so what the first and widest layer makes of a name is computed once a step and added up for each triple.
+Training uses distinct triples drawn in proportion to their counts, with the share of positives as label. In
+expectation, the loss and the batch statistics are then those of the single rows, at a hundredth of the cost. Few names
+make many triples, so the output of the first and widest layer for a name is computed once per step and added up for
+each triple.
 
-Batch norm undoes whatever size the weight matrices give to a layer's output, so how far the log odds can spread is left
-to a few vectors: the norms' scales and shifts, the biases and the output layer. Adam moves each number by about its
-learning rate a step, and at a rate that the wide matrices bear these vectors are still far from where they belong when
-training ends: names are ranked well, but all probabilities are too near the base rate. So they have a higher rate, and
-no weight decay. The output starts at the training rows' log odds, and both rates rise and fall once (Smith & Topin
-2017, "1cycle").
+Batch norm undoes whatever size the weight matrices give to a layer's output. How far the log odds can spread is
+therefore left to a few vectors: the norms' scales and shifts, the biases and the output layer. Adam moves each number
+by about its learning rate per step. At a rate that suits the wide matrices, these vectors are still far from their
+optimum when training ends: names are ranked well, but all probabilities are too near the base rate. These vectors
+therefore have a higher rate, and no weight decay. The output starts at the training rows' log odds, and both rates rise
+and fall once (Smith & Topin 2017, "1cycle").
 """
 
 import contextlib
@@ -39,7 +40,10 @@ WARM_UP = 0.2
 
 
 def weighted_loss(logits: Tensor, positives: Tensor, count: Tensor) -> Tensor:
-    """The summed binary cross-entropy of all rows behind N triples, each with ``positives`` ones and the rest zeros."""
+    """Return the summed binary cross-entropy of all rows behind N triples.
+
+    Each triple stands for ``positives`` ones; its other rows are zeros.
+    """
     negatives = count - positives
     return (positives * functional.softplus(-logits) + negatives * functional.softplus(logits)).sum()
 
@@ -52,13 +56,13 @@ class Inputs:
         self.codes = torch.from_numpy(features.codes).to(device)
 
     def through(self, layer: nn.Module, rows: Tensor | None = None) -> Tensor:
-        """The linear layer's output ``[N, H]``, or that of some rows, each distinct name multiplied only once."""
+        """Return the linear layer's output ``[N, H]``, or some of its rows; each distinct name is multiplied once."""
         assert isinstance(layer, nn.Linear)
         parts = torch.split(layer.weight, [vectors.shape[1] for vectors in self.vectors], dim=1)
         codes = self.codes if rows is None else self.codes[:, rows]
         output: Tensor = layer.bias
         for vectors, weight, code in zip(self.vectors, parts, codes, strict=True):
-            # Not index_select, whose gradient on a GPU is not the same each time.
+            # Not index_select, whose gradient on a GPU varies from run to run.
             output = output + functional.embedding(code, vectors @ weight.T)
         return output
 
@@ -66,8 +70,8 @@ class Inputs:
 def set_statistics(module: nn.Sequential, hidden: Tensor, count: Tensor) -> Tensor:
     """Give each batch norm the exact mean and variance over the rows behind N triples.
 
-    ``hidden [N, H]`` is the first layer's output. The running ones lag behind the weights and carry the noise of the
-    last batches. Returns the logits ``[N, 1]`` and leaves the network in evaluation mode.
+    ``hidden [N, H]`` is the first layer's output. The running statistics lag behind the weights and contain the noise
+    of the last batches. Returns the logits ``[N, 1]`` and leaves the network in evaluation mode.
     """
     module.eval()
     weight = (count / count.sum()).unsqueeze(1)
@@ -89,12 +93,12 @@ def train_network(
     on_epoch: EpochCallback | None = None,
     checkpoint_dir: Path | None = None,
 ) -> tuple[nn.Sequential, list[EpochMetrics]]:
-    """Train until the validation log loss has not improved for ``patience`` epochs; returns the best epoch's network.
+    """Train until the validation log loss has not improved for ``patience`` epochs; return the best epoch's network.
 
-    ``features`` belong to ``triples`` (columns ``positives``, ``count``). Without validation triples it trains
-    for ``max_epochs`` and returns the last. The history has one entry per epoch, with the mean log losses of the rows
-    at its end: ``epoch, train_loss, validation_loss, best_validation_loss``. With ``checkpoint_dir`` an interrupted
-    training goes on where it was and ends the same.
+    ``features`` belong to ``triples`` (columns ``positives``, ``count``). Without validation triples, train for
+    ``max_epochs`` and return the last network. The history has one entry per epoch, with the mean log losses of the
+    rows at its end: ``epoch, train_loss, validation_loss, best_validation_loss``. With ``checkpoint_dir``, an
+    interrupted training continues where it stopped, with the same result.
     """
     if len(features) < 2:
         raise ValueError(f"a network needs at least 2 distinct training triples, got {len(features)}")
@@ -117,7 +121,7 @@ def train_network(
 
 
 class _Run:
-    """The state of one training, and its way to and from a checkpoint."""
+    """The state of one training, which can be saved in and restored from a checkpoint."""
 
     def __init__(
         self,
@@ -188,7 +192,7 @@ class _Run:
         return entry
 
     def _rate(self, step: int) -> float:
-        """Which part of the highest learning rates a step takes."""
+        """Return the share of the highest learning rates that a step uses."""
         position = (step + 1) / (self.options.max_epochs * self.batches)
         if position < WARM_UP:
             return position / WARM_UP
@@ -207,7 +211,7 @@ class _Run:
         os.replace(temporary, path)
 
     def resume(self, path: Path) -> None:
-        """Take up the checkpoint if it is there, whole and of this very training; else start afresh."""
+        """Restore the checkpoint if it exists, is whole and belongs to this training; otherwise start afresh."""
         if not path.is_file():
             return
         try:
@@ -230,7 +234,7 @@ class _Run:
 
 
 def _log_loss(logits: Tensor, positives: Tensor, count: Tensor) -> float:
-    """Return the mean log loss of the rows; NaN without rows."""
+    """Return the mean log loss of the rows, or NaN without rows."""
     if not len(count):
         return float("nan")
     summed = weighted_loss(logits.squeeze(1).double(), positives.double(), count.double())
@@ -238,7 +242,7 @@ def _log_loss(logits: Tensor, positives: Tensor, count: Tensor) -> float:
 
 
 def _parameter_groups(module: nn.Sequential, options: NetworkOptions) -> list[dict[str, Any]]:
-    """The weight matrices, and apart from them what sets the size of the log odds."""
+    """Return the weight matrices, and separately the parameters that set the size of the log odds."""
     output = output_layer(module).weight
     scales = [value for value in module.parameters() if value.ndim == 1 or value is output]
     matrices = [value for value in module.parameters() if value.ndim > 1 and value is not output]
@@ -270,10 +274,10 @@ def _fingerprint(
 
 
 def find_device(name: str) -> torch.device:
-    """Return the device of that name; ``auto`` is a GPU if there is one.
+    """Return the device of that name; ``auto`` is a GPU if the machine has one.
 
     Raises:
-        InputError: this machine, or this torch, does not have it.
+        InputError: this machine or this version of torch does not have it.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -1,4 +1,4 @@
-"""How likelihood models are trained: the options of all kinds, free of torch."""
+"""The training options of all kinds of likelihood models, without an import of torch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from mrtask.likelihood.embeddings import BUNDLED
 PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
 DEVICES = ("auto", "cpu", "cuda", "mps")
 SMOOTHINGS = (5.0, 20.0, 80.0, 320.0, 1280.0)
-"""Each four times the last: between neighbours the log loss hardly differs."""
+"""Each value is four times the previous one; between neighbours, the log loss hardly differs."""
 
 EpochMetrics = dict[str, float]
 EpochCallback = Callable[[int, EpochMetrics], None]
@@ -19,8 +19,9 @@ EpochCallback = Callable[[int, EpochMetrics], None]
 class NetworkOptions:
     """How a network is built and trained; see `mrtask.likelihood.network_training`.
 
-    ``learning_rate`` is that of the weight matrices, ``scale_learning_rate`` that of what sets the size of the log
-    odds; both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` leaves torch's number.
+    ``learning_rate`` is the rate of the weight matrices, ``scale_learning_rate`` that of the parameters that set the
+    size of the log odds. Both are the highest of the cycle, which spans ``max_epochs``. ``threads=0`` keeps torch's own
+    number.
     """
 
     layers: tuple[int, ...] = PAPER_LAYERS
@@ -54,11 +55,12 @@ class NetworkOptions:
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """Which model, on which embedding, and the options of each kind.
+    """Which model to train on which embedding, and the options of each kind.
 
-    ``network`` is for ``paper_fcnn`` and ``mlp``; ``regularisation`` for ``logistic`` (scikit-learn's C); ``smoothing``
-    for ``frequency`` and ``similarity``: how many rows the coarser estimate is worth; None: the one of `SMOOTHINGS`
-    with the lowest log loss on the validation homes, the first where there are none.
+    ``network`` applies to ``paper_fcnn`` and ``mlp``, ``regularisation`` to ``logistic`` (scikit-learn's C), and
+    ``smoothing`` to ``frequency`` and ``similarity``: the coarser estimate is worth this many rows. With None, it is
+    the value of `SMOOTHINGS` with the lowest log loss on the validation homes, or the first value if no home is for
+    validation.
     """
 
     kind: str = "similarity"

@@ -1,8 +1,9 @@
-"""Labelled rows of a set of homes: the data that the likelihood models learn from and are judged on.
+"""Labelled rows of a set of homes: the data on which the likelihood models are trained and judged.
 
 One row asks "is this object in this container?" for every object type of the vocabulary and every container of every
-home (label 1 if it is, the paper's section IV). Many rows share one (object, container type, room type), all that a
-model sees: ``distinct_triples`` condenses them to counts, on which any loss summed over the rows has the same value.
+home (label 1 if it is; the paper's section IV). Many rows share one (object, container type, room type), which is all
+that a model sees. ``distinct_triples`` condenses them to counts, on which any loss summed over the rows has the same
+value.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,12 +35,12 @@ ROW_SCHEMA = pa.DataFrameSchema(
 
 
 def vocabulary(homes: Iterable[Home]) -> tuple[str, ...]:
-    """The object types that lie in any container of the homes, sorted."""
+    """Return the object types that lie in any container of the homes, sorted."""
     return tuple(sorted({name for home in homes for container in home.containers for name in container.objects}))
 
 
 def label_rows(home: Home, objects: Sequence[str]) -> pd.DataFrame:
-    """``C x O`` rows ``object, container, room, home_id, container_id, label`` of one home."""
+    """Return ``C x O`` rows ``object, container, room, home_id, container_id, label`` of one home."""
     kinds = home.container_kinds()
     held = [set(container.objects) for container in home.containers]
     each = len(objects)
@@ -56,7 +57,10 @@ def label_rows(home: Home, objects: Sequence[str]) -> pd.DataFrame:
 
 
 def count_triples(homes: Sequence[Home], about: Sequence[str] | None = None) -> pd.DataFrame:
-    """The `distinct_triples` of the homes' rows, without making the rows; ``about``: the objects, by default all."""
+    """Return the `distinct_triples` of the homes' rows, without making the rows.
+
+    ``about`` restricts them to some objects.
+    """
     objects = {name: index for index, name in enumerate(sorted(vocabulary(homes) if about is None else about))}
     kinds = {kind: index for index, kind in enumerate(sorted({k for home in homes for k in home.container_kinds()}))}
     positives, count = np.zeros((len(objects), len(kinds)), dtype=np.int64), np.zeros(len(kinds), dtype=np.int64)
@@ -70,7 +74,10 @@ def count_triples(homes: Sequence[Home], about: Sequence[str] | None = None) -> 
 
 
 def distinct_triples(rows: pd.DataFrame) -> pd.DataFrame:
-    """The distinct ``object, container, room`` of the rows with ``positives`` and ``count`` (int64), sorted by name."""
+    """Return the distinct ``object, container, room`` of the rows with ``positives`` and ``count`` (int64).
+
+    They are sorted by name.
+    """
     grouped = rows.groupby(TRIPLE, sort=True, observed=True)["label"].agg(["sum", "count"]).reset_index()
     grouped = grouped.rename(columns={"sum": "positives"})
     return grouped.astype({"positives": np.int64, "count": np.int64})

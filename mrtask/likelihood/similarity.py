@@ -1,11 +1,11 @@
-"""Counts where training has them, and elsewhere the counts of similar names.
+"""A model that uses counts where training has them, and elsewhere the counts of similar names.
 
 A prior for any names, seen or not, is a logistic regression on four numbers: how often anything lies in this kind of
-container, how often objects of similar names do, and how similar the object's name is to the container's and to the
+container, how often objects with similar names do, and how similar the object's name is to the container's and to the
 room's. It is fitted with each training object's own counts left out, so it learns how far similarity can be trusted for
-an object never seen. The training counts then correct it where they exist: per object, per object and room, per object
-and container type (by the ratio of observed to expected finds, shrunk to 1), and per triple (mean of prior and
-frequency). With little data it is the prior, with much it becomes the frequency table.
+an unseen object. Where training counts exist, they then correct it: per object, per object and room, per object and
+container type (by the ratio of observed to expected finds, shrunk to 1), and per triple (the mean of prior and
+frequency). With few data it is the prior; with many it becomes the frequency table.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,8 @@ from mrtask.names import name_to_text
 
 KIND = "similarity"
 OBJECT_TEMPERATURE, KIND_TEMPERATURE = 0.05, 0.1
-"""How fast the weight of another name falls with cosine similarity; chosen on real homes, checked on generated ones."""
+"""How fast the weight of another name falls with the cosine similarity; chosen on real homes, checked on generated
+ones."""
 PSEUDO_ROWS = 1.0
 BASE_SHARE = 0.02
 EPSILON = float(np.finfo(np.float64).tiny)
@@ -39,9 +40,9 @@ LEVELS = (["object"], ["object", "room"], ["object", "container"])
 
 @dataclass(frozen=True, eq=False)
 class SimilarityModel:
-    """Training triples in words, the prior's ``weights [5]`` (four features and a constant) and how firmly it is held.
+    """Training triples in words, the prior's ``weights [5]`` (four features and a constant), and the prior's strength.
 
-    ``strength``: how many rows the prior is worth for a triple, and how many expected finds for a coarser group.
+    For a triple, the prior is worth ``strength`` rows; for a coarser group, ``strength`` expected finds.
     """
 
     triples: pd.DataFrame
@@ -52,11 +53,11 @@ class SimilarityModel:
 
     @property
     def kind(self) -> str:
-        """``similarity``."""
+        """Return ``similarity``."""
         return KIND
 
     def predict(self, names: pd.DataFrame) -> Floats:
-        """Probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
+        """Return probabilities ``[N]`` for a frame with the columns ``object``, ``container``, ``room``."""
         check_names(names)
         if not len(names):
             return np.zeros(0)
@@ -64,7 +65,7 @@ class SimilarityModel:
         return self._probs(names, self._odds(names), self.strength)
 
     def smoothed_by(self, validation: pd.DataFrame) -> "SimilarityModel":
-        """The same with the strength that predicts other homes best; see ``TrainingOptions``."""
+        """Return the model with the strength that predicts other homes best; see ``TrainingOptions``."""
         if not len(validation):
             return replace(self, strength=SMOOTHINGS[0])
         names = _as_texts(validation)
@@ -81,7 +82,7 @@ class SimilarityModel:
 
     @classmethod
     def load(cls, folder: Path, description: Mapping[str, Any], cache_dir: Path | None = None) -> "SimilarityModel":
-        """The model of a folder whose ``model.json`` has been read."""
+        """Load the model of a folder whose ``model.json`` has been read."""
         weights = np.array(description["weights"], dtype=np.float64)
         if weights.shape != (5,):
             raise ModelError(f"{folder}: expected 5 weights, found shape {weights.shape}; train the model again")
@@ -98,7 +99,7 @@ class SimilarityModel:
         return self._odds(self.triples)
 
     def _odds(self, names: pd.DataFrame) -> Floats:
-        """What the prior for any names says of names in words."""
+        """Return the prior's odds for any names in words."""
         return np.asarray(np.exp(self._known.features(names) @ self.weights[:-1] + self.weights[-1]))
 
     def _probs(self, names: pd.DataFrame, odds: Floats, strength: float) -> Floats:
@@ -110,7 +111,10 @@ class SimilarityModel:
         return clip_probs((positives + strength * prior) / (count + strength))
 
     def _ratios(self, strength: float) -> list[pd.Series]:
-        """Observed to expected finds of each group, per level; each level's expectation includes the levels before."""
+        """Return the ratio of observed to expected finds of each group, per level.
+
+        Each level's expectation includes the levels before it.
+        """
         odds, ratios = self._own_odds, []
         for level in LEVELS:
             expected = odds / (1.0 + odds) * self.triples["count"].to_numpy()
@@ -124,7 +128,7 @@ class SimilarityModel:
 def train_similarity(
     triples: pd.DataFrame, strength: float = 5.0, embedding: str = BUNDLED, cache_dir: Path | None = None
 ) -> SimilarityModel:
-    """Fit the prior by weighted maximum likelihood, each training object predicted from the others."""
+    """Fit the prior by weighted maximum likelihood; each training object is predicted from the others."""
     from sklearn.linear_model import LogisticRegression
 
     counts = triples[["positives", "count"]].reset_index(drop=True)
@@ -153,7 +157,7 @@ class _Known:
         self.containers, self.rooms = self._embed(kinds["container"]), self._embed(kinds["room"])
 
     def features(self, names: pd.DataFrame) -> Floats:
-        """``[N, 4]``; a training object's own counts are left out of its features."""
+        """Return ``[N, 4]`` features; a training object's own counts are left out of its features."""
         row, objects = pd.factorize(names["object"])
         kinds = names[["container", "room"]].drop_duplicates()
         column = pd.MultiIndex.from_frame(kinds).get_indexer(pd.MultiIndex.from_frame(names[["container", "room"]]))
@@ -161,7 +165,7 @@ class _Known:
 
         closeness = container @ self.containers.T + room @ self.rooms.T - 2.0
         kind_weight = np.exp(closeness / KIND_TEMPERATURE)
-        # [O, M]: finds and rows of each training object in containers like each of the M asked for
+        # [O, M]: finds and rows of each training object in containers like each of the M requested ones
         finds, rows = self.positives @ kind_weight.T, self.count @ kind_weight.T
         likeness = object_ @ self.objects.T
         other = likeness < 1.0 - 1e-5
@@ -181,7 +185,7 @@ class _Known:
 
 
 def _as_texts(names: pd.DataFrame) -> pd.DataFrame:
-    """The three columns in words, so that ``RemoteControl`` and ``remote control`` are one name."""
+    """Return the three columns in words, so that ``RemoteControl`` and ``remote control`` are one name."""
     return pd.DataFrame({kind: pd.array([name_to_text(name) for name in names[kind]], dtype="str") for kind in TRIPLE})
 
 

@@ -1,4 +1,4 @@
-"""All likelihoods that an evaluation needs, scored in one batch beforehand; small enough to send to each worker."""
+"""All likelihoods that an evaluation needs, scored in one batch in advance; small enough to send to each worker."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class LikelihoodTable:
     probs: Floats
 
     def matrix(self, home: Home, objects: Sequence[str]) -> Floats:
-        """``P(object in container)``, ``[C, O]`` in the order of the home's containers and of ``objects``.
+        """Return ``P(object in container)``, ``[C, O]``, in the order of the home's containers and of ``objects``.
 
-        Raises ``KeyError`` naming an object or a kind of container that the table was not built for.
+        Raises ``KeyError`` that names an object or a kind of container for which the table was not built.
         """
         rows = [_index(self._row_of, kind, "(container, room)") for kind in home.container_kinds()]
         columns = [_index(self._column_of, name, "object") for name in objects]

@@ -1,4 +1,4 @@
-"""From a dataset to a trained model with its metrics: what ``pipeline.train`` calls. Knows nothing of MLflow."""
+"""Turn a dataset into a trained model with its metrics, as ``pipeline.train`` does, without MLflow."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
@@ -40,7 +40,7 @@ def train_model(
     on_epoch: EpochCallback | None = None,
     on_phase: Callable[[str], None] | None = None,
 ) -> TrainedModel:
-    """Train on the train split, stop by the validation split, and measure on train, validation and test.
+    """Train on the train split, stop early by the validation split, and measure on train, validation and test.
 
     ``on_epoch(epoch, {"train_loss", "validation_loss", ...})`` is called after each epoch, ``on_phase(text)`` before
     each long step.
@@ -61,10 +61,10 @@ def fit(
     on_epoch: EpochCallback | None = None,
     on_phase: Callable[[str], None] | None = None,
 ) -> tuple[LikelihoodModel, list[EpochMetrics]]:
-    """A model of triples with ``positives`` and ``count``, and for networks its history; see ``train_model``.
+    """Fit a model to triples with ``positives`` and ``count``; return it and a network's history (see ``train_model``).
 
     Raises:
-        ValueError: an unknown kind.
+        ValueError: the kind is unknown.
     """
     if options.kind not in KINDS:
         raise ValueError(f"unknown likelihood model {options.kind!r}; allowed: {', '.join(KINDS)}")
@@ -76,8 +76,8 @@ def fit_on_homes(
 ) -> LikelihoodModel:
     """Train a model on homes; by default the frequency table, which needs neither torch nor embeddings.
 
-    The ``validation`` homes decide when networks stop, and the smoothing of counts. Other kinds:
-    ``TrainingOptions(kind="similarity")``, with the extra ``mrtask[train]`` installed.
+    The ``validation`` homes decide when networks stop and how counts are smoothed. Other kinds, such as
+    ``TrainingOptions(kind="similarity")``, need the extra ``mrtask[train]``.
     """
     options = options or TrainingOptions(kind="frequency")
     if options.kind != "frequency" and find_spec("sklearn") is None:
@@ -94,21 +94,22 @@ def fit_on_homes(
 
 
 def _say_nothing(phase: str) -> None:
-    """For callers that do not follow the phases."""
+    """Ignore the phases, for callers that do not follow them."""
 
 
 def score(model: LikelihoodModel, triples: pd.DataFrame) -> dict[str, float]:
-    """``metrics.evaluate`` of a model on triples with ``positives`` and ``count``."""
+    """Return ``metrics.evaluate`` of a model on triples with ``positives`` and ``count``."""
     return evaluate(model.predict(triples), triples)
 
 
 def score_unseen(
     triples: Mapping[str, pd.DataFrame], options: TrainingOptions, column: str = "object", folds: int = UNSEEN_FOLDS
 ) -> dict[str, float]:
-    """Metrics on the test homes for names never seen: each fold's names are predicted by a model trained without them.
+    """Return metrics on the test homes for names never seen.
 
-    ``triples``: those of each split. ``column``: ``object`` or ``container``. Names are dealt to the folds by their
-    hash, the same for every model.
+    A model trained without a fold's names predicts them. ``triples`` are those of each split, and ``column`` is
+    ``object`` or ``container``. Names are dealt to the folds in the order of their hashes, so that the folds are the
+    same for every model.
     """
     train, validation, test = (triples[split] for split in SPLITS)
     fold_of = {

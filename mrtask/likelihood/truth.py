@@ -1,8 +1,8 @@
 """The true likelihoods of homes: what a model without errors would say of an object, a container and a room.
 
-Homes whose contents were drawn from the catalogue have them. For all others the best substitute is the counts in the
-very homes that planners are evaluated on: no model could know these, and with few homes they reveal a little of what is
-in each.
+Homes whose contents were drawn from the catalogue have true likelihoods. For all others, the best substitute is the
+counts in the very homes on which planners are evaluated. No model could know these, and with few homes they reveal a
+little about the contents of each.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from mrtask.likelihood.rows import count_triples
 
 
 def catalogue_truth() -> FunctionModel:
-    """How likely the generator is to put an object into a container."""
+    """Return how likely the generator is to put an object into a container."""
     catalogue = load_catalogue()
 
     @cache
@@ -28,5 +28,8 @@ def catalogue_truth() -> FunctionModel:
 
 
 def counted_truth(homes: Sequence[Home]) -> FrequencyModel:
-    """How often an object lies in the containers of a kind in these homes; rare kinds lean on similar ones."""
+    """Return how often an object lies in the containers of a kind in these homes.
+
+    Rare kinds borrow from similar ones.
+    """
     return FrequencyModel(count_triples(homes))

@@ -1,1 +1,1 @@
-"""Maps: occupancy grids of homes with the distances from every cell to every container."""
+"""Maps: occupancy grids of homes, with the distances from every cell to every container."""

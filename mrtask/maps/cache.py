@@ -1,8 +1,8 @@
-"""Maps kept on disk, named by everything they depend on: the home's layout, the parameters and the code.
+"""Keep maps on disk, named by everything on which they depend: the home's layout, the parameters and the code.
 
-The code is this module and what it imports: the home, the map and its distance fields. What the containers hold is not
-part of the layout. Only the free cells' distances and steps are stored. Files appear whole or not at all, so several
-processes may share a folder; a damaged file is made anew.
+The code is this module and what it imports: the home, the map and its distance fields. The contents of the containers
+are not part of the layout. Only the distances and steps of free cells are stored. Files appear whole or not at all, so
+several processes may share a folder; a damaged file is rebuilt.
 """
 
 import hashlib
@@ -28,7 +28,10 @@ def cached_map(
     robot_radius_m: float = DEFAULT_ROBOT_RADIUS_M,
     ways: str = "shortest",
 ) -> HomeMap:
-    """The home's map from the folder, or built and put there; without ``cache_dir`` it is always built."""
+    """Return the home's map from the folder, or build it and store it there.
+
+    Without ``cache_dir``, the map is always built.
+    """
     if cache_dir is None:
         return build_map(home, resolution_m, robot_radius_m, ways)
     key = [_code(), home.layout_id, resolution_m, robot_radius_m, ways]

@@ -1,11 +1,11 @@
-"""Exact path lengths on an 8-connected grid, one field per goal, by Dijkstra's algorithm with buckets.
+"""Compute exact path lengths on an 8-connected grid, one field per goal, by Dijkstra's algorithm with buckets.
 
-``shortest`` ways are the shortest; ``soft`` ways are those of least cost where cells near walls cost more, as in the
-authors' code, but their length in metres is what is kept.
+Ways of the kind ``shortest`` are the shortest. Ways of the kind ``soft`` have the least cost where cells near walls
+cost more, as in the authors' code; the fields still hold their length in metres.
 
-Steps cost 1 or sqrt(2), so with buckets as wide as the shortest step every cell in the current bucket is final (Dial
-1969; Dinitz 1978) and no heap is needed. scikit-image's ``MCP_Geometric`` and scipy's ``csgraph.dijkstra`` give the
-same lengths (the tests compare them) but take many times as long; see ``benchmarks/bench_maps.py``.
+Steps cost 1 or sqrt(2). With buckets as wide as the shortest step, every cell in the current bucket is therefore final
+(Dial 1969; Dinitz 1978), and no heap is needed. scikit-image's ``MCP_Geometric`` and scipy's ``csgraph.dijkstra`` give
+the same lengths (the tests compare them) but take many times as long; see ``benchmarks/bench_maps.py``.
 """
 
 import math
@@ -22,19 +22,22 @@ use_kernel_cache()
 
 WALL_MARGIN_M = 0.5
 WALL_COST = 5.0
-"""On soft ways a metre costs this much right beside what a robot cannot enter, falling to 1 at the margin. (That ways
-keep away from walls is the authors', how much is ours.)"""
+"""The cost of a metre on soft ways right beside a place that a robot cannot enter. It falls to 1 at the margin. (The
+authors' ways keep away from walls too; by how much is our choice.)"""
 AT_GOAL = 255
-"""In place of a step's number in the steps of soft ways."""
+"""The mark at the goal, in place of a step's number, in the steps of soft ways."""
 DIAGONAL = math.sqrt(2.0)
 BUCKETS = 3
-"""Used in turn: from one bucket, steps of 1 and sqrt(2) lead into one of the next two."""
+"""The buckets are used in turn: from one, steps of 1 and sqrt(2) lead into one of the next two."""
 TIE_CELLS = 1e-3
-"""Lengths that differ by less are equal (the fields are single precision)."""
+"""Lengths that differ by less than this are equal (the fields have single precision)."""
 
 
 def distance_fields(free: Bools, goals: Int32s, resolution_m: float) -> NDArray[np.float32]:
-    """[C, H, W] metres from every cell to each of ``goals`` [C, 2]; inf where blocked, cut off, or the goal is < 0."""
+    """Return the metres [C, H, W] from every cell to each of ``goals`` [C, 2].
+
+    The value is inf where the cell is blocked or cut off, or the goal is negative.
+    """
     rows, cols = free.shape
     padded = np.zeros((rows + 2, cols + 2), np.bool_)
     padded[1:-1, 1:-1] = free
@@ -45,12 +48,15 @@ def distance_fields(free: Bools, goals: Int32s, resolution_m: float) -> NDArray[
 
 @njit(cache=True)
 def _fill_fields(padded, goals, resolution_m, fields_m):  # type: ignore[no-untyped-def]
-    """Write the distances from each goal; ``padded`` [H + 2, W + 2] has a blocked rim, so no bounds are checked."""
+    """Write the distances from each goal.
+
+    ``padded`` [H + 2, W + 2] has a blocked rim, so that no index needs a check.
+    """
     width = padded.shape[1]
     is_free = padded.ravel()
     steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1])
     length = np.empty(padded.size, np.float64)
-    # A cell enters a bucket at most once per neighbour; memory that is never touched costs nothing.
+    # A cell enters a bucket at most once per neighbour. Memory that is never touched costs nothing.
     bucket = np.empty((BUCKETS, len(steps) * padded.size), np.int32)
     count = np.zeros(BUCKETS, np.int64)
     for index in range(len(goals)):
@@ -66,7 +72,7 @@ def _fill_fields(padded, goals, resolution_m, fields_m):  # type: ignore[no-unty
             for entry in range(count[current]):
                 cell = bucket[current, entry]
                 here = length[cell]
-                if here < level:  # reached by a shorter way since it was put here
+                if here < level:  # since it was put here, a shorter way has reached it
                     continue
                 for k in range(len(steps)):
                     other = cell + steps[k]
@@ -84,9 +90,9 @@ def _fill_fields(padded, goals, resolution_m, fields_m):  # type: ignore[no-unty
 
 
 def soft_fields(free: Bools, goals: Int32s, resolution_m: float) -> tuple[NDArray[np.float32], UInt8s]:
-    """[C, H, W] metres along the soft way from every cell to each of ``goals`` [C, 2], and the way's first step.
+    """Return the metres [C, H, W] along the soft way from every cell to each of ``goals`` [C, 2], and its first step.
 
-    The metres are inf where blocked, cut off, or the goal is < 0; the steps are for `follow`.
+    The metres are inf where the cell is blocked or cut off, or the goal is negative. `follow` reads the steps.
     """
     cost = np.full((free.shape[0] + 2, free.shape[1] + 2), np.inf)
     cost[1:-1, 1:-1][free] = soft_cost(free, resolution_m)[free]
@@ -97,7 +103,7 @@ def soft_fields(free: Bools, goals: Int32s, resolution_m: float) -> tuple[NDArra
 
 
 def soft_cost(free: Bools, resolution_m: float) -> Floats:
-    """[H, W] what a metre costs in each cell, from 1 to `WALL_COST`."""
+    """Return what a metre costs in each cell [H, W], from 1 to `WALL_COST`."""
     clearance_m = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * resolution_m
     nearness = np.clip(1.0 - (clearance_m - resolution_m) / WALL_MARGIN_M, 0.0, 1.0)
     return np.asarray(1.0 + (WALL_COST - 1.0) * nearness)
@@ -105,7 +111,10 @@ def soft_cost(free: Bools, resolution_m: float) -> Floats:
 
 @njit(cache=True)
 def _fill_soft_fields(cost, goals, resolution_m, fields_m, steps):  # type: ignore[no-untyped-def]
-    """As `_fill_fields` with a step at the mean cost of its two cells; ``cost`` [H + 2, W + 2] is inf where blocked."""
+    """Do what `_fill_fields` does, where a step costs the mean of its two cells.
+
+    ``cost`` [H + 2, W + 2] is inf where the cell is blocked.
+    """
     width = cost.shape[1]
     cell_cost = cost.ravel()
     moves = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1])
@@ -147,7 +156,7 @@ def _fill_soft_fields(cost, goals, resolution_m, fields_m, steps):  # type: igno
 
 
 def follow(steps: UInt8s, row: int, col: int) -> Int32s:
-    """[L, 2] the cells of the soft way from ``(row, col)`` to the goal of ``steps`` [H, W]."""
+    """Return the cells [L, 2] of the soft way from ``(row, col)`` to the goal of ``steps`` [H, W]."""
     moves = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
     path = [(row, col)]
     while (number := int(steps[row, col])) != AT_GOAL:
@@ -158,7 +167,10 @@ def follow(steps: UInt8s, row: int, col: int) -> Int32s:
 
 @njit(cache=True)
 def descend(field_m, resolution_m, row, col):  # type: ignore[no-untyped-def]
-    """[L, 2] the cells from ``(row, col)`` down to the field's zero by shortest steps; of equal ones, straight on."""
+    """Return the cells [L, 2] from ``(row, col)`` down to the field's zero by shortest steps.
+
+    Of equally short steps, the one straight on is taken.
+    """
     rows, cols = field_m.shape
     path = [(row, col)]
     last_row_step, last_col_step = 0, 0

@@ -1,7 +1,7 @@
-"""What a robot knows of a home's geometry: free cells, where each container is reached, and how far everything is.
+"""A robot's knowledge of a home's geometry: free cells, where it reaches each container, and how far everything is.
 
-Distances are kept as one field per container (the path length from every free cell), so that the way from *any* cell,
-such as where a robot is redirected in mid-path, is a look-up, and the path itself is the field's steepest descent.
+Distances are kept as one field per container (the path length from every free cell). The distance from *any* cell, such
+as where a robot is redirected in mid-path, is therefore a look-up, and the path itself is the field's steepest descent.
 Legend for array shapes: C containers, H rows, W columns, L cells of a path.
 """
 
@@ -23,12 +23,13 @@ from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields, fol
 DEFAULT_RESOLUTION_M = 0.05
 DEFAULT_ROBOT_RADIUS_M = 0.2
 REACH_M = 1.0
-"""A container is reached from at most this far: a robot does not search a bed through a wall or across a room."""
+"""The largest distance from which a container is reached. A robot does not search a bed through a wall or across a
+room."""
 MAX_CELLS = 16_000_000
 CORNER_SEGMENTS = 8
-"""Segments per quarter circle where footprints and walls are inflated by the robot's radius."""
+"""Segments per quarter circle when footprints and walls are inflated by the robot's radius."""
 DOOR_DEPTH_M = 0.05
-"""Doors are carved this far to both sides of the wall's line, against rounding in their positions."""
+"""Doors are carved this far to both sides of the wall's line, to allow for rounding in their positions."""
 NO_ROOM = -1
 WAYS = ("shortest", "soft")
 """How robots drive: by the shortest ways, or by ways that keep away from walls (`mrtask.maps.distance_fields`)."""
@@ -36,29 +37,32 @@ WAYS = ("shortest", "soft")
 
 @dataclass(frozen=True, eq=False)
 class HomeMap:
-    """The map of one home. Cell ``(row, col)`` spans y from ``origin_m[1] + row * resolution_m`` and x likewise."""
+    """The map of one home.
+
+    Cell ``(row, col)`` spans y from ``origin_m[1] + row * resolution_m``, and x likewise.
+    """
 
     home_id: str
     resolution_m: float
     origin_m: Point
     """The corner of cell ``(0, 0)``; rows run along y, columns along x."""
     free: Bools
-    """[H, W] where the robot's centre may be: the main connected region only."""
+    """[H, W] where the robot's centre may be, in the main connected region only."""
     access: Int32s
-    """[C, 2] row and column from which each container is reached; -1, -1 where none is."""
+    """[C, 2] row and column from which each container is reached; -1, -1 if it cannot be reached."""
     fields_m: NDArray[np.float32]
-    """[C, H, W] path length to each container's access cell; inf where not free or not reachable."""
+    """[C, H, W] path length to each container's access cell; inf where a cell is not free or not reachable."""
     steps: UInt8s | None = None
-    """[C, H, W] the first step of each soft way, see `follow`; None for shortest ways."""
+    """[C, H, W] the first step of each soft way (see `follow`), or None for shortest ways."""
 
     @property
     def reachable(self) -> Bools:
-        """[C] whether a robot can get to the container."""
+        """Return, for each container [C], whether a robot can get there."""
         return np.asarray(self.access[:, 0] >= 0)
 
     @cached_property
     def travel_m(self) -> Floats:
-        """[C, C] path lengths between containers: symmetric, 0 on the diagonal, inf for unreachable ones."""
+        """Return the path lengths [C, C] between containers: symmetric, 0 on the diagonal, inf for unreachable ones."""
         count = len(self.access)
         travel_m = np.full((count, count), np.inf)
         known = np.flatnonzero(self.reachable)
@@ -68,12 +72,12 @@ class HomeMap:
         return np.asarray(np.minimum(travel_m, travel_m.T))
 
     def distances_m(self, cell: tuple[int, int]) -> Floats:
-        """[C] path lengths from a cell to all containers; inf where there is no way."""
+        """Return the path lengths [C] from a cell to all containers; inf if no way leads there."""
         column: Floats = self.fields_m[:, cell[0], cell[1]].astype(np.float64)
         return column
 
     def path(self, cell: tuple[int, int], container: int) -> Int32s:
-        """[L, 2] the cells of the way to a container's access cell, both ends included."""
+        """Return the cells [L, 2] of the way to a container's access cell, including both ends."""
         if not np.isfinite(self.fields_m[container, cell[0], cell[1]]):
             raise ValueError(f"no way from cell {cell} to container {container}; check `reachable` and `free` first")
         if self.steps is not None:
@@ -82,12 +86,12 @@ class HomeMap:
         return cells
 
     def cell_center(self, cell: tuple[int, int]) -> Point:
-        """The middle of a cell in metres."""
+        """Return the middle of a cell in metres."""
         x = self.origin_m[0] + (cell[1] + 0.5) * self.resolution_m
         return (x, self.origin_m[1] + (cell[0] + 0.5) * self.resolution_m)
 
     def cell_of(self, point: Point) -> tuple[int, int]:
-        """The cell around a point; it lies outside the grid where the point does."""
+        """Return the cell around a point. It lies outside the grid if the point does."""
         row = int(np.floor((point[1] - self.origin_m[1]) / self.resolution_m))
         return (row, int(np.floor((point[0] - self.origin_m[0]) / self.resolution_m)))
 
@@ -99,12 +103,12 @@ class _Grid:
     shape: tuple[int, int]
 
     def indices(self, points: Floats) -> tuple[Floats, Floats]:
-        """Fractional row and column of ``[N, 2]`` points; whole numbers are cell centres."""
+        """Return the fractional rows and columns of points ``[N, 2]``; whole numbers are cell centres."""
         cols, rows = (points - np.array(self.origin_m)).T / self.resolution_m - 0.5
         return rows, cols
 
     def fill(self, target: NDArray[Any], outline: Floats, value: int) -> None:
-        """Set the cells whose centre is in the polygon."""
+        """Set the cells whose centres are in the polygon."""
         rows, cols = cells_inside(*self.indices(outline), shape=self.shape)  # type: ignore[no-untyped-call]
         target[rows, cols] = value
 
@@ -117,8 +121,8 @@ def build_map(
 ) -> HomeMap:
     """Rasterise a home for a round robot and compute all distance fields.
 
-    A cell is free when its centre is in a room and at least the radius away from walls and furniture; diagonal steps
-    may pass between two blocked cells, which the inflation already accounts for.
+    A cell is free if its centre is in a room and at least the radius away from walls and furniture. Diagonal steps may
+    pass between two blocked cells, because the inflation already accounts for that.
     """
     if not resolution_m > 0 or not robot_radius_m >= 0:
         raise ValueError(
@@ -140,13 +144,16 @@ def build_map(
 
 
 def main_region_share(home: Home, resolution_m: float, robot_radius_m: float) -> float:
-    """The part of the cells where a robot fits that belongs to the main region; 0 where it fits nowhere."""
+    """Return the main region's share of the cells in which a robot fits.
+
+    The share is 0 if it fits in no cell.
+    """
     _, _, open_cells = _rasterise(home, resolution_m, robot_radius_m)
     return float(main_region(open_cells).sum() / max(open_cells.sum(), 1))
 
 
 def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[_Grid, NDArray[np.int16], Bools]:
-    """The grid, each cell's room and whether the robot's centre may be there, in any region."""
+    """Return the grid, each cell's room, and whether the robot's centre may be there, in any region."""
     grid = _make_grid(home, resolution_m)
     room_of = np.full(grid.shape, NO_ROOM, np.int16)
     for number, room in enumerate(home.rooms):
@@ -158,7 +165,7 @@ def _rasterise(home: Home, resolution_m: float, robot_radius_m: float) -> tuple[
 
 
 def main_region(open_cells: Bools) -> Bools:
-    """[H, W] the largest 8-connected region; of equal ones, the first in row order."""
+    """Return the largest 8-connected region [H, W]; of equally large ones, the first in row order."""
     labels, count = ndimage.label(open_cells, structure=np.ones((3, 3)))
     if count <= 1:
         return open_cells
@@ -178,7 +185,7 @@ def _make_grid(home: Home, resolution_m: float) -> _Grid:
 
 
 def _inflated_obstacles(home: Home, radius_m: float) -> list[Floats]:
-    """Outlines of footprints and walls, grown by the robot's radius."""
+    """Return the outlines of footprints and walls, grown by the robot's radius."""
     footprints = [*(c.footprint for c in home.containers), *(o.footprint for o in home.obstacles)]
     solid = np.array([shapely.Polygon(footprint) for footprint in footprints] + _walls(home), dtype=object)
     if radius_m > 0:
@@ -187,7 +194,10 @@ def _inflated_obstacles(home: Home, radius_m: float) -> list[Floats]:
 
 
 def _walls(home: Home) -> list[LineString]:
-    """The straight stretches of the rooms' outlines without the openings between rooms; outside doors stay shut."""
+    """Return the straight stretches of the rooms' outlines, without the openings between rooms.
+
+    Outside doors stay shut.
+    """
     openings = [
         LineString([door.start, door.end]).buffer(DOOR_DEPTH_M, cap_style="flat")
         for door in home.doors
@@ -206,7 +216,10 @@ def _walls(home: Home) -> list[LineString]:
 def _access_cell(
     grid: _Grid, free: Bools, room_of: NDArray[np.int16], footprint: Polygon, own_room: int
 ) -> tuple[int, int]:
-    """The free cell nearest to the footprint, in its own room where it has one within reach; else (-1, -1)."""
+    """Return the free cell nearest to the footprint, or (-1, -1) if none is within reach.
+
+    A cell in the container's own room takes precedence.
+    """
     corners = np.array(footprint)
     rows, cols = grid.indices(corners)
     margin = REACH_M / grid.resolution_m
@@ -219,7 +232,7 @@ def _access_cell(
         if near_rows.size == 0:
             continue
         distance = _distance_to_outline(near_rows + top, near_cols + left, rows, cols)
-        # Of equally near cells, the one before the middle of the footprint.
+        # Of equally near cells, take the one in front of the middle of the footprint.
         off_middle = np.hypot(near_rows + top - rows.mean(), near_cols + left - cols.mean())
         best = int(np.argmin(np.where(distance <= distance.min() + TIE_CELLS, off_middle, np.inf)))
         if distance[best] * grid.resolution_m <= REACH_M:
@@ -228,7 +241,10 @@ def _access_cell(
 
 
 def _distance_to_outline(rows: Ints, cols: Ints, outline_rows: Floats, outline_cols: Floats) -> Floats:
-    """Distance in cells from each cell to the polygon's outline (free cells are never inside a footprint)."""
+    """Return the distance, in cells, from each cell to the polygon's outline.
+
+    Free cells are never inside a footprint.
+    """
     best = np.full(rows.shape, np.inf)
     for start_row, start_col, end_row, end_col in zip(
         outline_rows, outline_cols, np.roll(outline_rows, -1), np.roll(outline_cols, -1), strict=True

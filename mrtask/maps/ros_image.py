@@ -1,4 +1,4 @@
-"""The image of a ROS map: which cells are surely free, as map_server reads them.
+"""Read the image of a ROS map, and find which cells are surely free, as map_server does.
 
 Source: nav2's map_server, modes ``trinary`` and ``scale``. A cell's lightness is the mean of its colour channels,
 scaled by the largest value of the image's type; a cell that is not opaque is unknown.
@@ -17,31 +17,31 @@ from mrtask.arrays import Bools, Floats
 from mrtask.maps.home_map import MAX_CELLS
 
 UNKNOWN_LIGHTNESS = 205 / 255
-"""The grey that map_saver writes for cells that nobody has seen."""
+"""The grey that map_saver writes for cells that no robot has seen."""
 _DIRECT = {"L": 255.0, "LA": 255.0, "RGB": 255.0, "RGBA": 255.0, "I;16": 65535.0, "I;16B": 65535.0, "I;16L": 65535.0}
-"""Modes of Pillow whose numbers are read as they are, with their largest value."""
+"""The modes of Pillow whose numbers are read unchanged, with their largest value."""
 _CONVERTED = {"1": "L", "P": "RGBA", "PA": "RGBA", "CMYK": "RGB", "YCbCr": "RGB", "HSV": "RGB", "LAB": "RGB"}
 
 
 class ImageError(ValueError):
-    """An image that cannot be a map; the message says why."""
+    """An image that cannot be a map. The message says why."""
 
 
 @dataclass(frozen=True)
 class ScannedCells:
-    """Cells of an image, row 0 at the bottom."""
+    """The cells of an image; row 0 is at the bottom."""
 
     free: Bools
-    """[H, W] surely free."""
+    """[H, W] whether the cell is surely free."""
     unknown_as_free: int
-    """How many cells of the grey for unknown count as free, because ``free_thresh`` is too high for it."""
+    """The number of cells with the grey for unknown that count as free because ``free_thresh`` is too high for it."""
 
 
 def read_cells(path: Path, *, negate: bool, free_thresh: float) -> ScannedCells:
-    """The cells of a map's image.
+    """Read the cells of a map's image.
 
     Raises:
-        ImageError: the file is no image, too large, or of a kind that cannot be read without loss.
+        ImageError: the file is not an image, is too large, or cannot be read without loss.
     """
     lightness, opaque = _lightness(path)
     occupied_prob = lightness if negate else 1.0 - lightness
@@ -51,7 +51,7 @@ def read_cells(path: Path, *, negate: bool, free_thresh: float) -> ScannedCells:
 
 
 def _lightness(path: Path) -> tuple[Floats, Bools]:
-    """[H, W] the mean of each pixel's colours between 0 and 1, and whether it is opaque."""
+    """Return the mean [H, W] of each pixel's colours, between 0 and 1, and whether the pixel is opaque."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the number of cells is checked below

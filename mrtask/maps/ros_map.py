@@ -1,4 +1,4 @@
-"""Reads a scanned floor as a home: ROS map_server's YAML and image, and a YAML list of the containers on it.
+"""Read a scanned floor as a home: ROS map_server's YAML and image, and a YAML list of the containers on it.
 
 Source: the map_server format of ROS 1 and nav2 (image, resolution, origin, negate, occupied_thresh, free_thresh; modes
 ``trinary`` and ``scale``). Cells that are not surely free are walls. The containers' file, in the map's metres:
@@ -8,10 +8,10 @@ Source: the map_server format of ROS 1 and nav2 (image, resolution, origin, nega
       - {name: fridge, type: Fridge, room: kitchen, position: [1.0, 2.5], objects: [Egg]}
       - {name: desk-1, type: Desk, room: office, position: [4.2, 0.8], size: [1.4, 0.7], yaw_deg: 90}
 
-``objects`` is what a simulation puts there; where no container of the file has it, `read_map_worlds` draws contents.
-``size`` (width, depth) is the type's usual one by default. A scan has no rooms, so each piece of floor goes to the room
-of the container with the shortest way to it; where two such rooms meet there is an opening, so that only what is on the
-scan stands in a robot's way.
+``objects`` is what a simulation puts there. If no container of the file has it, `read_map_worlds` draws the contents.
+``size`` (width, depth) defaults to the type's usual size. A scan has no rooms, so each piece of floor belongs to the
+room of the container with the shortest way to it. Where two such rooms meet there is an opening, so that only obstacles
+on the scan stand in a robot's way.
 """
 
 import warnings
@@ -39,13 +39,14 @@ from mrtask.maps.yaml_file import Schema, YamlFile
 from mrtask.names import counted
 
 DEFAULT_SIZE_M = Size(0.3, 0.5, 0.3)
-"""For containers of a type that the catalogue does not know."""
+"""The size of containers whose type the catalogue does not know."""
 COORDINATE_DECIMALS = 6
 SAME_YAW_RAD = 1e-6
 MAX_SPECKS = 5000
-"""More separate spots that are not free are noise, and would take hours as obstacles."""
+"""More separate spots that are not free than this are noise, and would take hours as obstacles."""
 MIN_REGION_M2 = 0.5
-"""Free floor apart from the rest counts as such from this size: smaller spots are noise or the inside of furniture."""
+"""Free floor that is separate from the rest counts if it is at least this large. Smaller spots are noise or the inside
+of furniture."""
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -54,7 +55,7 @@ _Name = Annotated[str, Field(min_length=1)]
 
 
 class MapWarning(UserWarning):
-    """A map that can be read, but perhaps not as its owner meant it."""
+    """A map that can be read, but perhaps not in the way that its owner intended."""
 
 
 class _MapFile(Schema):
@@ -95,10 +96,11 @@ class _Floor:
 
 
 def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: int, seed: int) -> tuple[Home, ...]:
-    """The scanned floor as homes: with the contents listed, one; where none is listed, ``worlds`` with contents drawn.
+    """Read the scanned floor as homes: one with the listed contents, or ``worlds`` with drawn contents.
 
-    Contents come from the catalogue's likelihoods; world k of a seed is the same whatever ``worlds``. Raises
-    `MapError`, also where contents are to be drawn for a container of a type that the catalogue does not know.
+    Contents are drawn, from the catalogue's likelihoods, if the file lists none. World k of a seed does not depend on
+    ``worlds``. Raises `MapError`, also if contents are to be drawn for a container whose type the catalogue does not
+    know.
     """
     home = read_ros_map(map_path, containers_path)
     containers_file = YamlFile(Path(containers_path))
@@ -110,7 +112,7 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
         if not rooms_with(catalogue, entry.type):
             known = sorted({kind for containers in catalogue.objects.values() for kind in containers})
             problem = (
-                f"what a {entry.type} holds is not known; choose one of {', '.join(known)}, "
+                f"the contents of a {entry.type} are not known; choose one of {', '.join(known)}, "
                 "or list the objects of the containers"
             )
             raise containers_file.error(("containers", index, "type"), problem)
@@ -128,16 +130,17 @@ class ScannedFloor:
 
     @property
     def summary(self) -> str:
-        """``lab.yaml: 42.0 m2 of floor, 2 rooms, 5 containers``."""
+        """Return a line such as ``lab.yaml: 42.0 m2 of floor, 2 rooms, 5 containers``."""
         rooms = len({room.id.partition("#")[0] for room in self.home.rooms})
         containers = counted(len(self.home.containers), "container")
         return f"{self.home.source}: {self.area_m2:.1f} m2 of floor, {counted(rooms, 'room')}, {containers}"
 
 
 def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
-    """The scanned floor with its containers as a home.
+    """Read the scanned floor, with its containers, as a home.
 
-    Warns with a `MapWarning` of what `scan_floor` found doubtful; raises `MapError` naming file, line and field.
+    Issues a `MapWarning` for everything that `scan_floor` finds doubtful. Raises `MapError`, which names the file, the
+    line and the field.
     """
     scan = scan_floor(map_path, containers_path)
     for text in scan.warnings:
@@ -146,7 +149,7 @@ def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
 
 
 def scan_floor(map_path: Path | str, containers_path: Path | str) -> ScannedFloor:
-    """The scanned floor with its containers; raises `MapError` naming file, line and field."""
+    """Read the scanned floor with its containers. Raises `MapError`, which names the file, the line and the field."""
     map_path = Path(map_path)
     map_file = YamlFile(map_path)
     facts, doubts = _facts(map_file)
@@ -181,7 +184,7 @@ def scan_floor(map_path: Path | str, containers_path: Path | str) -> ScannedFloo
 def _placed(
     file: YamlFile, listed: _ContainersFile, floor: _Floor, facts: _MapFile
 ) -> tuple[list[Container], list[tuple[int, int]]]:
-    """The containers, and for each the cell of the floor that is nearest to it."""
+    """Return the containers, and for each of them the nearest cell of the floor."""
     containers: list[Container] = []
     cells: list[tuple[int, int]] = []
     for index, entry in enumerate(listed.containers):
@@ -202,7 +205,7 @@ def _placed(
 
 
 def _facts(file: YamlFile) -> tuple[_MapFile, list[str]]:
-    """What the map's YAML says, checked, and warnings about it."""
+    """Return the map's YAML, checked, and warnings about it."""
     facts, warnings_ = file.check(_MapFile), []
     if facts.mode not in ("trinary", "scale"):
         raise file.error(("mode",), f"'{facts.mode}' is not supported; allowed: trinary, scale")
@@ -222,7 +225,7 @@ def _facts(file: YamlFile) -> tuple[_MapFile, list[str]]:
 
 
 def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
-    """The floor, row 0 at the origin's side (images start at the top), and warnings about it."""
+    """Return the floor, with row 0 at the origin's side (images start at the top), and warnings about it."""
     path, cell_m2 = file.path.parent / facts.image, facts.resolution**2
     try:
         cells = read_cells(path, negate=bool(facts.negate), free_thresh=facts.free_thresh)
@@ -261,13 +264,16 @@ def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
 def _container(entry: _ContainerEntry) -> Container:
     usual = load_catalogue().typical_size_m(entry.type) or DEFAULT_SIZE_M
     size_m = usual if entry.size is None else Size(entry.size[0], usual.y, entry.size[1])
-    # The footprint's turn is Unity's, clockwise; a map's yaw is counter-clockwise.
+    # A footprint turns clockwise, as in Unity; a map's yaw is counter-clockwise.
     footprint = rotated_rectangle(entry.position[0], entry.position[1], size_m, -entry.yaw_deg)
     return Container(entry.name, entry.type, entry.room, footprint, tuple(sorted(set(entry.objects or ()))))
 
 
 def _nearest_floor(floor: Bools, facts: _MapFile, footprint: Polygon) -> tuple[tuple[int, int] | None, float]:
-    """The floor cell nearest to a footprint and its distance in metres; None and inf where it is out of reach."""
+    """Return the floor cell nearest to a footprint and its distance in metres.
+
+    Return None and inf if no floor is within reach.
+    """
     corners = (np.array(footprint) - facts.origin[:2]) / facts.resolution
     reach = REACH_M / facts.resolution
     left, bottom = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
@@ -284,7 +290,7 @@ def _nearest_floor(floor: Bools, facts: _MapFile, footprint: Polygon) -> tuple[t
 
 
 def _divide(floor: Bools, seeds: list[tuple[int, int]], rooms: list[int]) -> Ints:
-    """[H, W] the room of the seed with the shortest way to each cell; -1 off the floor."""
+    """Return, for each cell [H, W], the room of the seed with the shortest way to it, or -1 off the floor."""
     best = np.full(floor.shape, np.inf, np.float32)
     room_of = np.full(floor.shape, -1, np.int64)
     for seed, room in zip(seeds, rooms, strict=True):
@@ -295,7 +301,10 @@ def _divide(floor: Bools, seeds: list[tuple[int, int]], rooms: list[int]) -> Int
 
 
 def _pieces(room_of: Ints, room: int) -> Iterator[shapely.Polygon]:
-    """A room's connected pieces in cells; pieces around another room are cut in two, so that no rooms overlap."""
+    """Yield a room's connected pieces, in cells.
+
+    A piece around another room is cut in two, so that no rooms overlap.
+    """
     mine = room_of == room
     pending = list(_outlines(mine))
     while pending:
@@ -311,7 +320,7 @@ def _pieces(room_of: Ints, room: int) -> Iterator[shapely.Polygon]:
 
 
 def _outlines(mask: Bools) -> Iterator[shapely.Polygon]:
-    """The polygons of a cell mask, in cells; built from runs along the rows."""
+    """Yield the polygons of a cell mask, in cells, built from runs along the rows."""
     edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, starts = np.nonzero(edges == 1)
     _, ends = np.nonzero(edges == -1)
@@ -330,7 +339,7 @@ def _to_metres(ring: shapely.LinearRing, facts: _MapFile) -> Polygon:
 
 
 def _openings(rooms: list[Room]) -> Iterator[Door]:
-    """An opening along every straight stretch that two rooms share."""
+    """Yield an opening along every straight stretch that two rooms share."""
     shapes = [shapely.Polygon(room.polygon) for room in rooms]
     for first, second in combinations(range(len(rooms)), 2):
         if not shapes[first].intersects(shapes[second]):

@@ -1,4 +1,4 @@
-"""YAML files whose mistakes are reported with file, line and field."""
+"""Read YAML files, and report their mistakes with file, line and field."""
 
 import re
 from pathlib import Path
@@ -10,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from mrtask.errors import InputError
 
 Place = tuple[str | int, ...]
-"""Keys and list indices that lead to a field."""
+"""The keys and list indices that lead to a field."""
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|nan|inf)", re.IGNORECASE)
-"""Numbers as C++ programs write them. PyYAML follows YAML 1.1 and takes ``1e-05`` and ``-nan`` for text."""
+"""Numbers as C++ programs write them. PyYAML follows YAML 1.1 and reads ``1e-05`` and ``-nan`` as text."""
 
 
 class MapError(InputError):
-    """A map or containers file that cannot be used: names the file, the line (from 1) and the field."""
+    """A map or containers file that cannot be used. The message names the file, the line (from 1) and the field."""
 
     def __init__(self, path: Path, line: int | None, field: str, problem: str) -> None:
         self.path, self.line, self.field, self.problem = path, line, field, problem
@@ -26,7 +26,7 @@ class MapError(InputError):
 
 
 class Schema(BaseModel):
-    """A mapping of the file. A key without a value counts as left out."""
+    """A mapping in the file. A key without a value counts as missing."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -42,10 +42,10 @@ _T = TypeVar("_T", bound=Schema)
 
 
 class YamlFile:
-    """A YAML file's data with the line of each field.
+    """A YAML file's data, with the line of each field.
 
     Raises:
-        MapError: the file cannot be read, or is not plain YAML.
+        MapError: the file cannot be read or is not plain YAML.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,7 +93,7 @@ class YamlFile:
             raise self.error(place, f"'{node.value}' cannot be read ({error})") from None
 
     def error(self, place: Place, problem: str) -> MapError:
-        """An error at a field, or at the nearest one that the file has."""
+        """Return an error at a field, or at the nearest field above it that the file has."""
         known = place
         while known and known not in self._lines:
             known = known[:-1]
@@ -101,7 +101,7 @@ class YamlFile:
         return MapError(self.path, self._lines.get(known), field, problem)
 
     def check(self, schema: type[_T]) -> _T:
-        """The data as an instance of the schema; raises `MapError` at the first field that does not fit."""
+        """Return the data as an instance of the schema. Raises `MapError` at the first field that does not fit."""
         try:
             return schema.model_validate(self.data)
         except ValidationError as error:

@@ -1,14 +1,14 @@
 """The least makespan of a team that knows where everything is.
 
-A run is a word of the automaton whose letters are done by robots at containers. Between its letters a robot can do
-no better than go straight from one container to the next at once; so the least makespan is found by Dijkstra's
-algorithm over (automaton state, where each robot did its last letter and when). A letter is complete when its robot
-has arrived and interacted, and not before the letters that precede it in the word.
+A run spells a word of the automaton; robots at containers perform its letters. Between two letters, a robot can do no
+better than drive straight to its next container without delay. Dijkstra's algorithm over the states (automaton state,
+where and when each robot finished its last letter) therefore finds the least makespan. A letter is complete once its
+robot has arrived and interacted, and never before the letters that precede it in the word.
 
-This is exact where searches take no time, and for one robot always. For teams with ``search_time_s > 0`` it is a
-lower bound: a letter is only held back until the first robot could have come to its container and searched it, as
-if searches took no robot's time; the robot itself, or one before it, must have searched there. With
-``interact_time_s > 0`` a letter may begin as soon as its object first advanced the task, which no run can undercut.
+The result is exact when searches take no time, and always exact for one robot. For teams with ``search_time_s > 0`` it
+is a lower bound: a letter only has to wait until the first robot could have reached and searched its container, as if
+the search took none of the robots' time. (The robot itself, or another one before it, must have searched there.) With
+``interact_time_s > 0``, a letter may begin as soon as its object first advanced the task; no run can be faster.
 """
 
 from heapq import heappop, heappush
@@ -21,17 +21,17 @@ from mrtask.arrays import Bools
 from mrtask.planning.solver_belief import Belief
 
 Robots = tuple[tuple[int, float], ...]
-"""For each robot, in sorted order, the container of its last letter and when that was complete.
+"""For each robot, in sorted order, the container of its last letter and the time at which that letter was complete.
 
-A robot that has done none is at ``-1 - row`` of `Belief.start_s`; robots that start together share the row, which
-makes them interchangeable.
+A robot that has performed no letter yet is at ``-1 - row`` of `Belief.start_s`. Robots that start together share a row,
+which makes them interchangeable.
 """
 
 
 def clairvoyant_s(belief: Belief, world: Bools, free: frozenset[int] = frozenset()) -> float:
-    """The least makespan in seconds with contents ``world`` [C, O]; inf where the task cannot be done.
+    """Return the least makespan in seconds with contents ``world`` [C, O], or inf if the task cannot be done.
 
-    Letters with the objects ``free`` cost nothing and can be done anywhere at any time.
+    Letters of the objects ``free`` cost nothing and can be performed anywhere at any time.
     """
     automaton = belief.automaton
     objects = range(world.shape[1])

@@ -1,6 +1,6 @@
-"""numba's compiler for the parts of kernels, which are compiled only within the kernels that use them.
+"""Compile the parts of kernels with numba, only within the kernels that use them.
 
-All that leans on numba's insides is here; `mrtask.planning.compiled` is what kernels use.
+This module holds all code that depends on numba's internals. Kernels use `mrtask.planning.compiled`.
 """
 
 from typing import Any
@@ -10,10 +10,10 @@ from numba.core.compiler import Compiler
 
 
 class _PartCode(JITCodeLibrary):
-    """The code of a part: optimised and turned into machine code only within kernels, never by itself.
+    """The code of a part, which is optimised and turned into machine code only within kernels, never by itself.
 
-    numba would optimise and translate each function alone, and again wherever it is inlined: more than half of the time
-    that a kernel takes to compile.
+    By default, numba optimises and translates each function alone, and again wherever it is inlined. That takes more
+    than half of a kernel's compile time.
     """
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -27,24 +27,24 @@ class _PartCode(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Return 0: no function of a part can be called from outside."""
+        """Return 0: a part's functions cannot be called from outside."""
         self._ensure_finalized()
         return 0
 
     @property
     def codegen(self) -> "_PartCode":
-        """The object on which numba calls `set_env`."""
+        """Return the object on which numba calls `set_env`."""
         return self
 
     def set_env(self, name: str, environment: object) -> None:
-        """Ignore Python's environment, which is for functions that use Python objects."""
+        """Ignore Python's environment, which only functions that use Python objects need."""
 
 
 class PartCompiler(Compiler):
-    """numba's compiler, for code that is a `_PartCode`."""
+    """A numba compiler whose code is a `_PartCode`."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.state.library = _PartCode(self.state.targetctx.codegen(), "part")
         self.state.flags = self.state.flags.copy()
-        self.state.flags.noalias = True  # nothing that a part is given changes through something else it is given
+        self.state.flags.noalias = True  # no two arguments of a part share memory that changes

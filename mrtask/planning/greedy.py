@@ -1,4 +1,7 @@
-"""`greedy`: the rollout's policy by itself, the strong cheap baseline. See `mrtask.planning.greedy_kernel`."""
+"""The planner `greedy`: the rollout policy by itself, a strong and cheap baseline.
+
+See `mrtask.planning.greedy_kernel`.
+"""
 
 from collections.abc import Callable
 
@@ -13,7 +16,7 @@ from mrtask.planning.team_kernel import Model, World
 from mrtask.planning.team_model import assignment_begun, root_world, team_model
 
 LATER_WEIGHT = 0.3
-"""What finding an object that is needed later counts against finding one that advances the task now."""
+"""The weight of finding an object that is needed later, relative to one that advances the task now."""
 CACHED_ROWS = 4096
 
 
@@ -23,7 +26,7 @@ def _assign(model: Model, world: World, greedy: kernel.GreedyPolicy) -> None:
 
 
 class Greedy:
-    """At each decision the least travel time over probability of advancing, over all pairs of robot and action."""
+    """Repeatedly choose the robot and the action with the least travel time over probability of advancing."""
 
     knows_contents = False
 
@@ -33,24 +36,24 @@ class Greedy:
         self._later_weight, self._reassign_all = later_weight, reassign == "all"
 
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels: one plan."""
+        """Compile the kernels by making one plan."""
         self.plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """See the class; the rule draws nothing, so ``seed`` does not matter."""
+        """Plan as the class says. The rule draws no random numbers, so ``seed`` has no effect."""
         model = team_model(problem)
         root = root_world(problem, model, self._reassign_all)
         return Plan(assign_greedily(model, root, policy(problem, self._later_weight), _assign))
 
 
 def check_later_weight(later_weight: float) -> None:
-    """Raises ValueError unless the weight is in (0, 1]."""
+    """Raise ValueError unless the weight is in (0, 1]."""
     if not 0 < later_weight <= 1:
         raise ValueError(f"later_weight must be in (0, 1], not {later_weight}")
 
 
 def policy(problem: PlanningProblem, later_weight: float) -> kernel.GreedyPolicy:
-    """The policy's parameter, with an empty cache and scratch space."""
+    """Return the policy's parameter with an empty cache and scratch space."""
     containers, objects = problem.presence_prob.shape
     rows = min(CACHED_ROWS, len(problem.automaton.accepting) << objects)
     return kernel.GreedyPolicy(
@@ -69,7 +72,7 @@ def assign_greedily(
     greedy: kernel.GreedyPolicy,
     assign: Callable[[Model, World, kernel.GreedyPolicy], None] = kernel.assign,
 ) -> dict[int, Assignment]:
-    """Lets all undecided robots of a world begin their greedy actions; ``assign`` is the kernel, compiled or not."""
+    """Let all undecided robots of a world begin their greedy actions; ``assign`` is the kernel, compiled or not."""
     deciders = np.flatnonzero(world.robots.undecided)
     assign(model, world, greedy)
     return {int(robot): assignment_begun(world, int(robot)) for robot in deciders}

@@ -1,6 +1,6 @@
-"""The greedy policy: least travel time over the probability of advancing, for the robot and action where it is least.
+"""The greedy policy: choose the robot and action with the least travel time over the probability of advancing.
 
-It is a planner by itself (`greedy`), finishes the task from each leaf of `pouct`'s tree, and gives the order in which
+It is a planner by itself (`greedy`), finishes the task from each leaf of `pouct`'s tree, and sets the order in which
 actions enter that tree.
 
 Legend: R robots, C containers, O objects. Sets of objects are bit masks.
@@ -28,30 +28,31 @@ from mrtask.planning.team_kernel import (
 )
 
 MIN_TRAVEL_S = 1e-9
-"""Travel times count at least this much, so that likelihood decides between containers at no distance."""
+"""Every travel time counts as at least this much, so that the likelihood decides between containers at no distance."""
 EVERYWHERE, NOWHERE = -2, -3
-"""Beside containers, the places to which robots meant to go that must look round again."""
+"""Values beside container numbers that say which undecided robots must choose again: all of them, or none."""
 DETOUR_FACTOR = 1e3
-"""Interactions that may hurt and lead no nearer to acceptance come after all others."""
+"""This factor puts interactions that may hurt and lead no nearer to acceptance after all others."""
 
 
 class GreedyPolicy(NamedTuple):
-    """The policy's one parameter, a direct-mapped cache of what searches are worth, and scratch space.
+    """The policy's one parameter, a direct-mapped cache of the worth of searches, and scratch space.
 
-    A container's worth is kept as 1 / (weighted probability that a search finds something), by state and found objects.
+    The cache keeps a container's worth as 1 / (weighted probability that a search finds something), by automaton state
+    and found objects.
     """
 
-    later_weight: float  # what finding an object for later counts against finding one for now
-    tag: Ints  # [K] key of the cached row, NONE if empty
+    later_weight: float  # the weight of finding an object for later, relative to one for now
+    tag: Ints  # [K] key of the cached row, NONE if it is empty
     inverse: Floats  # [K, C] inf where a search is useless
-    skip: UInt8s  # [C + O] actions to pass over: zeros between calls
-    action: Ints  # [R] best actions of undecided robots, NONE (to wait) if there is none
-    score: Floats  # [R] their scores
+    skip: UInt8s  # [C + O] actions to skip; all zero between calls
+    action: Ints  # [R] best actions of undecided robots; NONE means to wait
+    score: Floats  # [R] the scores of these actions
 
 
 @inlined
 def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
-    """The row of ``greedy.inverse`` for what a world knows, filled if need be."""
+    """Return the row of ``greedy.inverse`` for what a world knows, and fill that row if necessary."""
     objects = model.prob.shape[1]
     z, found = world.state[AUTOMATON], world.state[FOUND]
     key = (z << objects) | found
@@ -74,7 +75,7 @@ def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
 
 @inlined
 def _fetching(model: Model, world: World) -> int:
-    """Mask of the objects that robots are on their way to, or busy with, at places known to hold them."""
+    """Return the mask of the objects at known places that robots are on their way to or busy with."""
     mask = 0
     for r in range(world.robots.size):
         robot = world.robots[r]
@@ -87,13 +88,13 @@ def _fetching(model: Model, world: World) -> int:
 
 @inlined
 def _all_fetched(model: Model, world: World, fetching: int) -> bool:
-    """Whether every object that brings acceptance nearer is being fetched, so that others may prepare for later."""
+    """Return whether every object that brings acceptance nearer is being fetched; others may then prepare for later."""
     return (model.states[world.state[AUTOMATON]].nearer & ~fetching) == 0
 
 
 @inlined
 def _stands_ready(model: Model, world: World, r: int) -> bool:
-    """Whether a robot stands where an object is that is needed later."""
+    """Return whether a robot stands at an object that is needed later."""
     robot = world.robots[r]
     place = robot.place
     if robot.mode == MOVING or place == NONE or world.containers[place].searched == 0:
@@ -106,9 +107,10 @@ def _stands_ready(model: Model, world: World, r: int) -> bool:
 def _score(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, r: int, c: int
 ) -> float:
-    """Travel time over the probability of advancing: the lower the better, inf for a container of no use now.
+    """Return the travel time over the probability of advancing: lower is better, and inf marks a useless container.
 
-    A place known to hold an object for later counts only with ``ahead``, and not for a robot that is at one already.
+    A place known to hold an object for later counts only with ``ahead``, and only for a robot that does not stand at
+    such a place already.
     """
     container = world.containers[c]
     if container.targeted > 0:
@@ -131,9 +133,9 @@ def _score(
 
 @inlined
 def _disturbed(model: Model, world: World, obj: int) -> bool:
-    """Whether interactions under way may keep one with ``obj`` from bringing acceptance nearer.
+    """Return whether interactions under way may keep an interaction with ``obj`` from bringing acceptance nearer.
 
-    At most one that may hurt is under way at a time: of two, the second could undo what the first has done.
+    At most one interaction that may hurt is under way at a time: of two, the second could undo the first.
     """
     z = world.state[AUTOMATON]
     for r in range(world.robots.size):
@@ -153,13 +155,13 @@ def _disturbed(model: Model, world: World, obj: int) -> bool:
 def _best(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, detours: bool, r: int
 ) -> tuple[int, float]:
-    """A robot's action of least score that is not in ``greedy.skip``; NONE and inf if there is none.
+    """Return a robot's action of least score that is not in ``greedy.skip``, or NONE and inf if it has no such action.
 
-    With ``detours``, interactions that may hurt and lead no nearer to acceptance are actions too.
+    With ``detours``, the actions include interactions that may hurt and lead no nearer to acceptance.
     """
     containers = world.containers.size
     best, best_score = NONE, np.inf
-    for early in range(2):  # with nothing to do now, be where an object is that is needed later
+    for early in range(2):  # with nothing to do now, go to an object that is needed later
         for c in range(containers):
             if greedy.skip[c] == 0:
                 score = _score(model, world, greedy, row, fetching, ahead or early == 1, r, c)
@@ -186,9 +188,9 @@ def _best(
 
 @inlined
 def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int:
-    """A robot's best action that is not in ``greedy.skip``: NONE if there is none.
+    """Return a robot's best action that is not in ``greedy.skip``, or NONE if it has no such action.
 
-    Last comes what the policy leaves out: being early, or going where another robot goes too.
+    The actions that the policy leaves out come last: being early, and going where another robot goes too.
     """
     row = _inverse_prob(model, world, greedy)
     fetching = _fetching(model, world)
@@ -203,7 +205,7 @@ def next_action(model: Model, world: World, greedy: GreedyPolicy, r: int) -> int
 
 @inlined
 def _least(world: World, greedy: GreedyPolicy) -> int:
-    """The undecided robot of least ``greedy.score``; NONE if nobody is undecided."""
+    """Return the undecided robot with the least ``greedy.score``, or NONE if no robot is undecided."""
     chosen = NONE
     for r in range(world.robots.size):
         if world.robots[r].undecided and (chosen == NONE or greedy.score[r] < greedy.score[chosen]):
@@ -213,7 +215,7 @@ def _least(world: World, greedy: GreedyPolicy) -> int:
 
 @inlined
 def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int, place: int) -> None:
-    """Fills ``greedy.action`` and ``greedy.score`` for the undecided robots that meant to go to a place, or for all."""
+    """Fill ``greedy.action`` and ``greedy.score`` for the undecided robots that chose ``place``, or for all of them."""
     fetching = _fetching(model, world)
     ahead = _all_fetched(model, world, fetching)
     for r in range(world.robots.size):
@@ -223,14 +225,14 @@ def _look_round(model: Model, world: World, greedy: GreedyPolicy, row: int, plac
 
 @inlined
 def first_to_decide(model: Model, world: World, greedy: GreedyPolicy) -> int:
-    """The undecided robot whose best action scores least; NONE if nobody is undecided."""
+    """Return the undecided robot whose best action has the least score, or NONE if no robot is undecided."""
     _look_round(model, world, greedy, _inverse_prob(model, world, greedy), EVERYWHERE)
     return _least(world, greedy)
 
 
 @inlined
 def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
-    """Lets all undecided robots begin actions, each time the robot and action of least score over all."""
+    """Let all undecided robots begin actions, in each round the robot and action of least score overall."""
     row, taken = _inverse_prob(model, world, greedy), EVERYWHERE
     while True:
         _look_round(model, world, greedy, row, taken)
@@ -241,16 +243,16 @@ def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
         taken = NOWHERE
         if world.robots[robot].mode == MOVING:
             place = world.robots[robot].place
-            fetches = world.containers[place].searched  # what others then need not fetch
+            fetches = world.containers[place].searched  # other robots no longer need to fetch what lies there
             taken = EVERYWHERE if fetches else place
 
 
 @inlined
 def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s) -> int:
-    """Finish the task greedily: DONE or STUCK.
+    """Finish the task greedily, and return DONE or STUCK.
 
-    This ends because each search, and each interaction that the policy makes, happens a bounded number of times: safe
-    interactions take nothing away from what finishes the task, and all others lead nearer to acceptance. The bound on
+    The rollout ends because each search, and each interaction that the policy makes, happens a bounded number of times:
+    a safe interaction keeps every way to finish the task open, and all others lead nearer to acceptance. The limit on
     decisions backs up this argument.
     """
     for _ in range(model.max_decisions):

@@ -1,11 +1,11 @@
-"""The two myopic baselines of the paper (section V): nearest, or likeliest, containers first.
+"""The paper's two myopic baselines (section V), which search the nearest or the likeliest containers first.
 
-Both first send robots to containers known to hold an object that advances the task now, the nearest robot first, and
-split the others over unsearched containers with the least summed travel. The paper's team replans, so after something
-was learned robots under way are assigned anew from where they are, by the same rule (``reassign``).
+Both first send robots to containers known to hold an object that advances the task now, the nearest robot first. They
+divide the other robots over unsearched containers with the least summed travel. The paper's team replans, so after the
+team has learned something, robots under way are assigned again from where they are, by the same rule (``reassign``).
 
-When to go back to a known container is ours; the authors' code does so only when everything found would complete the
-task (``return_to_known``), which makes weaker baselines.
+The rule for returning to a known container is ours. The authors' code returns only when everything found would complete
+the task (``return_to_known``), which makes weaker baselines.
 """
 
 from abc import ABC, abstractmethod
@@ -30,15 +30,16 @@ RETURN_TO_KNOWN = ("at_once", "when_complete")
 
 
 class MyopicPlanner(ABC):
-    """What both baselines share; a subclass chooses the unsearched containers that the robots divide among them.
+    """The part that both baselines share; a subclass chooses the unsearched containers that the robots divide.
 
     Args:
         reassign: one of `REASSIGN`.
-        return_to_known: one of `RETURN_TO_KNOWN`: ``at_once``, or ``when_complete``: a robot is sent to a container
-            that was searched before only if all objects found so far would complete the task, and then nobody searches.
+        return_to_known: one of `RETURN_TO_KNOWN`. With ``when_complete``, robots return to searched containers only if
+        all objects found so far would complete the task, and then no robot searches. With ``at_once``, they return at
+        any time.
 
     Raises:
-        ValueError: another value.
+        ValueError: an option has a value that is not allowed.
     """
 
     knows_contents = False
@@ -49,10 +50,10 @@ class MyopicPlanner(ABC):
         self._reassign, self._when_complete = reassign, return_to_known == "when_complete"
 
     def warm_up(self, problem: PlanningProblem) -> None:  # noqa: B027  (no subclass has anything to do here)
-        """Nothing is compiled."""
+        """Do nothing: these planners compile no kernels."""
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """See the module; the rule draws nothing, so ``seed`` does not matter."""
+        """Plan as the module says. The rule draws no random numbers, so ``seed`` has no effect."""
         deciding = problem.deciders(self._reassign)
         if problem.automaton.accepting[problem.state]:
             return Plan({robot: Assignment(WAIT) for robot in deciding})
@@ -71,10 +72,10 @@ class MyopicPlanner(ABC):
 
     @abstractmethod
     def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
-        """[C] the containers that ``robots`` robots divide, out of those ``open_to_search`` [C]."""
+        """Return the containers [C] that ``robots`` robots divide, out of those ``open_to_search`` [C]."""
 
     def _searches(self, problem: PlanningProblem, team: list[int], taken: set[int]) -> dict[int, Assignment]:
-        """Divides the shortlist among the robots, as far as it goes."""
+        """Divide the shortlist among the robots. Robots beyond its length get nothing."""
         travel_s = np.array([problem.robots[index].travel_s for index in team])
         open_to_search = ~problem.searched & np.isfinite(travel_s).all(axis=0)
         open_to_search[list(taken)] = False
@@ -84,14 +85,14 @@ class MyopicPlanner(ABC):
 
 
 class NonlearnedMyopic(MyopicPlanner):
-    """Searches the nearest containers first, whatever they may hold."""
+    """Search the nearest containers first, whatever they may hold."""
 
     def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
         return open_to_search
 
 
 class LearnedMyopic(MyopicPlanner):
-    """Searches the containers with the highest summed likelihood of the objects still needed and not yet found."""
+    """Search the containers with the highest summed likelihood of objects that are still needed and not yet found."""
 
     def _shortlist(self, problem: PlanningProblem, open_to_search: Bools, robots: int) -> Bools:
         wanted = needed(problem.automaton)[problem.state] & ~problem.found()
@@ -102,7 +103,7 @@ class LearnedMyopic(MyopicPlanner):
 
 
 def _taken(problem: PlanningProblem, deciding: list[int]) -> set[int]:
-    """The containers that robots which keep their action go to or search at this moment."""
+    """Return the containers that robots which keep their action are under way to or searching."""
     kept = [robot for index, robot in enumerate(problem.robots) if index not in deciding]
     return {robot.target if robot.target >= 0 else robot.place for robot in kept if robot.interacting < 0}
 
@@ -110,14 +111,14 @@ def _taken(problem: PlanningProblem, deciding: list[int]) -> set[int]:
 def _interactions(
     problem: PlanningProblem, deciding: list[int], *, only_here: bool, only_found: bool
 ) -> list[tuple[int, Assignment]]:
-    """Robots with a container known to hold an object that advances the task now, nearest first, each robot once.
+    """Pair robots with containers known to hold an object that advances the task now: nearest first, each robot once.
 
-    An interaction that can hurt is asked for by name, and only where it brings acceptance nearer: in the number of
-    interactions with objects that are found or may be found yet.
+    An interaction that can hurt is requested by name, and only if it brings acceptance nearer, counted in interactions
+    with objects that are found or may still be found.
 
     Args:
-        only_here: a robot is matched only with the container where it stands.
-        only_found: nothing more will be searched, so only objects found count.
+        only_here: match a robot only with the container where it stands.
+        only_found: count only the objects found, because no more containers will be searched.
     """
     automaton, state = problem.automaton, problem.state
     travel_s = np.array([robot.travel_s for robot in problem.robots])

@@ -1,10 +1,10 @@
-"""The planners by name: what each one is, and how a configuration becomes one.
+"""The planners by name: what each one is, and how a configuration becomes a planner.
 
-To add a planner, add an entry to `PLANNERS`: tables, figures and findings follow its role and its place there. Colours
-are not in this table, because they decide no result: `mrtask.analysis.page.style` has a default for every planner.
+To add a planner, add an entry to `PLANNERS`; tables, figures and findings follow its role and its place there. Colours
+are not in this table because they decide no result: `mrtask.analysis.page.style` has a default for every planner.
 
-A planner of a user's own needs no entry: its import path (``package.module.name`` of a class or function that takes its
-options as keywords and returns a `Planner`) can be given wherever a name is expected.
+A user's own planner needs no entry. Wherever a planner's name is expected, you can give its import path instead: the
+``package.module.name`` of a class or function that takes its options as keywords and returns a `Planner`.
 """
 
 import inspect
@@ -20,20 +20,20 @@ from mrtask.planning.pouct import Known, Pouct
 from mrtask.planning.problem import Planner, PlanOnly
 
 PAPERS_PLANNER = "pouct_paper"
-"""The planner that the paper proposes."""
+"""The planner that the paper proposes, by our name for it."""
 
 
 class Role(Enum):
-    """What a planner is in a comparison."""
+    """The role of a planner in a comparison."""
 
     BASELINE = "baseline"
-    """A baseline of the paper: the report gives every planner's improvement over it."""
+    """A baseline of the paper. The report gives every planner's improvement over it."""
     REFERENCE = "reference"
-    """Another planner that all are compared with."""
+    """Another planner with which all others are compared."""
     OURS = "ours"
-    """A planner under study; users' own planners are such."""
+    """A planner under study. Users' own planners have this role."""
     BOUND = "bound"
-    """Knows more than a planner can know: it shows what is left to gain."""
+    """A planner that knows more than a real one can. It shows how much could still be gained."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class PlannerEntry:
     """One planner of the table."""
 
     planner: Callable[..., Planner]
-    """Its class, which takes the options as keywords."""
+    """The planner's class, which takes the options as keywords."""
     role: Role
     published_as: str | None = None
-    """The planner in the paper's table of results that it is compared with, by our name for it; None: not in it."""
+    """Our name for the planner in the paper's table of results with which this one is compared, or None."""
 
 
 PLANNERS: Mapping[str, PlannerEntry] = {
@@ -55,21 +55,21 @@ PLANNERS: Mapping[str, PlannerEntry] = {
     "pouct": PlannerEntry(Pouct, Role.OURS, published_as=PAPERS_PLANNER),
     "known": PlannerEntry(Known, Role.BOUND),
 }
-"""From the simplest planner to the best informed: the order of rows and legends."""
+"""The planners, from the simplest to the best informed. Rows and legends keep this order."""
 
 
 def planner_role(name: str) -> Role:
-    """The role of a planner; one that is not in the table is a user's own."""
+    """Return the role of a planner. A planner that is not in the table is a user's own."""
     return PLANNERS[name].role if name in PLANNERS else Role.OURS
 
 
 def planners_with_role(role: Role) -> tuple[str, ...]:
-    """The planners of the table with this role, in its order."""
+    """Return the planners of the table with this role, in the table's order."""
     return tuple(name for name, entry in PLANNERS.items() if entry.role is role)
 
 
 def planners_in_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Each name once, in the table's order; users' own planners come by name, after all others but the bounds."""
+    """Return each name once, in the table's order. Users' own planners follow by name, before the bounds."""
     present, bounds = set(names), planners_with_role(Role.BOUND)
     first = [name for name in PLANNERS if name in present and name not in bounds]
     last = [name for name in bounds if name in present]
@@ -77,18 +77,19 @@ def planners_in_order(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def published_counterpart(name: str) -> str | None:
-    """The planner in the paper's table that this one is compared with: for a user's own, the one the paper proposes.
+    """Return the planner in the paper's table with which this one is compared.
 
-    None for a planner of ours that has no counterpart there.
+    For a user's own planner, this is the one that the paper proposes. For a planner of ours without a counterpart, it
+    is None.
     """
     return PLANNERS[name].published_as if name in PLANNERS else PAPERS_PLANNER
 
 
 def make_planner(name: str, options: Mapping[str, object] | None = None) -> Planner:
-    """The planner of that name or import path with the given options.
+    """Make the planner of that name or import path with the given options.
 
     Raises:
-        ValueError: an unknown name, an import path that leads nowhere, or options the planner refuses.
+        ValueError: the name is unknown, the import path leads nowhere, or the planner refuses the options.
     """
     factory = PLANNERS[name].planner if name in PLANNERS else _imported(name)
     try:
@@ -101,8 +102,8 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
 
 
 def planner_name(planner: Planner) -> str:
-    """The planner's name among ours, or the import path of its class (``package.module.Class``)."""
-    kind = type(getattr(planner.plan, "__self__", planner))  # of a `PlanOnly`: the class that it stands for
+    """Return the planner's name among ours, or the import path of its class (``package.module.Class``)."""
+    kind = type(getattr(planner.plan, "__self__", planner))  # for a `PlanOnly`, the class that it wraps
     ours = (name for name, entry in PLANNERS.items() if entry.planner is kind)
     return next(ours, f"{kind.__module__}.{kind.__qualname__}")
 

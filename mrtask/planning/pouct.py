@@ -1,19 +1,6 @@
-"""`pouct`: our planner. PO-UCT (Silver & Veness 2010) over the team's concurrent actions, with greedy rollouts.
+"""The planner `pouct`, which is ours.
 
-Against the paper's planner it differs in that actions are containers and a search reveals all task objects there;
-every sample is consistent with one hidden world in which all objects exist; leaves are valued by finishing the task
-with the greedy policy (least travel / probability of advancing); containers enter the tree in that greedy order by
-progressive widening; robots under way may be redirected; and the most visited action is taken.
-
-`known` is the same search with the contents given.
-
-Tried on 1800 trials in 275 ProcTHOR homes that no reported figure uses, and left out (mean cost against the choice made
-here, standard error 0.5 %): half the exploration 1.2 % worse, twice the exploration equal; nodes twice as wide 0.3 to
-0.7 % worse; spreads per edge (UCB1-tuned) instead of the root's equal; the least mean among well visited edges instead
-of the most visited no better. Rollouts that weigh a container together with its best neighbour are, as a policy by
-themselves, better for one robot and worse for three; within the search they gained nothing at seven times the time.
-A tree kept for the next decision would hold 5 to 30 % of its samples, while ten times the samples (1e4 to 1e5)
-lower costs by 0.2 %; for the same reason one decision is not spread over cores.
+It runs PO-UCT (Silver & Veness 2010) over the team's concurrent actions, with greedy rollouts.
 """
 
 from dataclasses import dataclass, replace
@@ -45,17 +32,17 @@ from mrtask.planning.tree import (
 class PouctOptions(SearchOptions):
     """Options of `pouct`, under ``planner.pouct`` in the configuration.
 
-    A search whose most visited joint action no longer can be overtaken ends before its samples are spent, with the same
-    plan.
+    A search stops before it has used all its samples once no other joint action can overtake the most visited one. The
+    plan is the same.
     """
 
     widening_factor: float = 1.0
     widening_exponent: float = 0.3
-    """A node with n visits has up to factor * n ** exponent actions."""
+    """A node with n visits has at most factor * n ** exponent actions."""
     later_weight: float = LATER_WEIGHT
-    """What finding an object that is needed later counts against finding one that advances the task now."""
+    """The weight of finding an object that is needed later, relative to one that advances the task now."""
     reassign: str = "all"
-    """``all``: robots under way may be redirected at each decision; ``free``: only free robots decide."""
+    """With ``all``, robots under way may be redirected at each decision; with ``free``, only free robots decide."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,19 +55,19 @@ class PouctOptions(SearchOptions):
 
 
 class Pouct(PouctOptions):
-    """Our search planner, made from its options: ``Pouct(samples=1000)``; see the module and `PouctOptions`."""
+    """Our search planner, made from its options: ``Pouct(samples=1000)``. See the module and `PouctOptions`."""
 
     knows_contents = False
 
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels by planning with one sample."""
+        """Compile the kernels by planning with one sample."""
         replace(self, samples=1).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
+        """Search from the problem's belief; ``seed`` starts the samples' random numbers.
 
         Raises:
-            ValueError: more task objects than the kernel's bit masks hold.
+            ValueError: the task has more objects than the kernel's bit masks hold.
         """
         began_s = perf_counter()
         if problem.automaton.accepting[problem.state]:
@@ -111,13 +98,13 @@ class Pouct(PouctOptions):
 
 
 class Known(Pouct):
-    """The same search with the contents known: the difference to it is what uncertainty costs."""
+    """The same search with known contents. The difference between the two is the cost of uncertainty."""
 
     knows_contents = True
 
 
 def _assignment(model: Model, root: World, robot: int, action: int) -> Assignment:
-    """What an action of the tree means for a robot at the root."""
+    """Return the assignment that an action of the tree stands for, for a robot at the root."""
     containers = len(root.containers.searched)
     if action < containers:
         return Assignment(action)
@@ -125,9 +112,9 @@ def _assignment(model: Model, root: World, robot: int, action: int) -> Assignmen
 
 
 def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -> dict[int, Assignment]:
-    """Follows the most visited edges through the robots to be decided now; greedy where the tree ends before them.
+    """Follow the most visited edges through the robots that decide now, and assign greedily where the tree ends.
 
-    The root world is used up. Nobody is left to the policy unless there are fewer samples than robots.
+    This overwrites the root world. The greedy policy decides for a robot only if there are fewer samples than robots.
     """
     assignments: dict[int, Assignment] = {}
     node = 0

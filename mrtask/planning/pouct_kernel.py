@@ -1,6 +1,6 @@
 """The compiled search of `mrtask.planning.pouct`: PO-UCT over the team's concurrent actions.
 
-One sample descends the tree of histories by UCB1, leaves it at the first new history, and finishes the task by the
+One sample descends the tree of histories by UCB1, leaves it at the first new history, and finishes the task with the
 greedy policy. An action is a container, WAIT, or C + object for an interaction that may hurt.
 """
 
@@ -37,11 +37,11 @@ from mrtask.planning.tree import (
 )
 
 WAIT_RANK = 2
-"""Waiting is tried after this many containers at a tree node."""
+"""A tree node tries waiting after this many containers."""
 
 
 class Search(NamedTuple):
-    """Options of the search."""
+    """The options of the search."""
 
     exploration: float
     widening_factor: float
@@ -50,13 +50,13 @@ class Search(NamedTuple):
 
 @inlined
 def decision_node(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, key: int) -> int:
-    """Adds a node for the undecided robot with the least score, so that first choices are the rollout's."""
+    """Add a node for the undecided robot with the least score, so that the first choices are the rollout's."""
     return add_node(tree, first_to_decide(model, world, greedy), key)
 
 
 @inlined
 def _mark_tried(tree: Tree, greedy: GreedyPolicy, node: int, mark: int) -> bool:
-    """Sets ``greedy.skip`` for the actions a node has; whether waiting is among them."""
+    """Set ``greedy.skip`` for the actions that a node has, and return whether waiting is one of them."""
     waiting = False
     edge = tree.nodes[node].first_edge
     while edge != NONE:
@@ -70,7 +70,7 @@ def _mark_tried(tree: Tree, greedy: GreedyPolicy, node: int, mark: int) -> bool:
 
 @inlined
 def _widen(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, node: int) -> int:
-    """Adds the next action in greedy order to a node; NONE if it has them all or the tree is full."""
+    """Add the next action in greedy order to a node, or return NONE if it has them all or the tree is full."""
     if tree.size[EDGES] == tree.edges.size:
         return NONE
     robot = tree.nodes[node].robot
@@ -90,7 +90,7 @@ def _widen(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, node: i
 
 @inlined
 def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, node: int) -> int:
-    """The edge to follow: a new one while the node is too narrow for its visits, else the best by UCB1."""
+    """Return the edge to follow: a new one while the node is too narrow for its visits, else the best by UCB1."""
     width = search.widening_factor * tree.nodes[node].visits ** search.widening_exponent
     if tree.nodes[node].next_untried == 0 or tree.nodes[node].next_untried < width:
         edge = _widen(model, world, tree, greedy, node)
@@ -103,7 +103,7 @@ def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search
 def _sample(
     model: Model, root: World, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, rng: UInt64s
 ) -> None:
-    """One sample from the root; the tree grows by a node, unless it is full."""
+    """Run one sample from the root. The tree grows by one node unless it is full."""
     copy_world(root, world)
     node, depth, key, outcome = 0, 0, 0, DECIDE
     if tree.size[NODES] == 0:
@@ -118,7 +118,7 @@ def _sample(
             break
         edge = _select(model, world, tree, greedy, search, node)
         tree.nodes[node].visits += 1
-        if edge == NONE:  # a full tree's childless fringe
+        if edge == NONE:  # a full tree's nodes without children
             break
         tree.path[depth] = edge
         depth += 1
@@ -150,7 +150,7 @@ def run_samples(
     rng: UInt64s,
     samples: int,
 ) -> None:
-    """Runs samples from the root; ``world`` is overwritten."""
+    """Run samples from the root; ``world`` is overwritten."""
     model, root, world = by_reference(model), by_reference(root), by_reference(world)
     tree, greedy, search = by_reference(tree), by_reference(greedy), by_reference(search)
     for _ in range(samples):

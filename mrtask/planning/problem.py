@@ -1,8 +1,8 @@
-"""What a planner sees at a decision instant, and what it answers.
+"""The problem that a planner sees when it has to decide, and the plan with which it answers.
 
-A problem holds the task's automaton, the team, travel times and the *belief*: for every container and task object the
-probability that the object is there. The truth is not part of it. Legend for array shapes: R robots, C containers,
-O task objects, Z automaton states.
+A problem holds the task's automaton, the team, travel times and the *belief*: the probability, for every container and
+task object, that the object is there. It does not hold the truth. Legend for array shapes: R robots, C containers, O
+task objects, Z automaton states.
 """
 
 from collections.abc import Callable
@@ -15,23 +15,25 @@ from mrtask.arrays import Bools, Floats
 from mrtask.tasks.automaton import Automaton
 
 WAIT = -1
-"""The container of an assignment, and the action of a search, that sends a robot nowhere until the next decision."""
+"""The container of an assignment, and the action of a search, with which a robot stays where it is until the next
+decision."""
 
 SAME_INSTANT_S = 1e-9
 """Events at most this far apart happen at the same instant."""
 
 ANY_SAFE = -1
-"""The interaction of an assignment under which the robot makes every interaction that cannot hurt, see `safe`."""
+"""The interaction of an assignment with which the robot makes every interaction that cannot hurt; see `safe`."""
 
 REASSIGN = ("all", "free")
-"""Who decides after something was learned or done: robots under way too, or the free robots alone."""
+"""Which robots decide after the team has learned or done something: ``all`` includes those under way, ``free`` does
+not."""
 
 
 class Assignment(NamedTuple):
-    """One robot's action: go to ``container`` (or `WAIT`), search it if nobody has, then interact there.
+    """One robot's action: go to ``container`` (or `WAIT`), search it if no robot has done so, then interact there.
 
-    ``interaction`` is a task object's index: the robot interacts with that object only, if it is there and advances the
-    task; or `ANY_SAFE`.
+    The ``interaction`` is a task object's index or `ANY_SAFE`. With an index, the robot interacts with that object
+    only, if the object is there and advances the task.
     """
 
     container: int
@@ -40,33 +42,33 @@ class Assignment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RobotStatus:
-    """Where one robot is and what it does.
+    """Where one robot is and what it is doing.
 
-    A *free* robot needs an assignment. A robot *under way* (``target >= 0``) may be redirected where the problem says
-    so. Any other robot is *busy* searching or interacting at ``place`` for ``remaining_s`` more.
+    A *free* robot needs an assignment. A robot *under way* (``target >= 0``) may be redirected if the problem allows
+    it. Any other robot is *busy* searching or interacting at ``place`` for another ``remaining_s``.
     """
 
     travel_s: Floats
-    """[C] seconds from where the robot is to each container; inf where unreachable."""
+    """[C] seconds from the robot's position to each container; inf if it is unreachable."""
     place: int = -1
-    """The container the robot stands at, -1 anywhere else."""
+    """The container at which the robot stands; -1 if it stands anywhere else."""
     free: bool = True
     target: int = -1
-    """The container a robot under way goes to."""
+    """The container to which a robot under way is going."""
     interaction: int = ANY_SAFE
-    """The interaction that goes with the present action."""
+    """The interaction that belongs to the present action."""
     remaining_s: float = 0.0
-    """Seconds until a robot under way arrives or a busy robot's search or interaction ends."""
+    """Seconds until a robot under way arrives, or until a busy robot's search or interaction ends."""
     interacting: int = -1
-    """The object a busy robot interacts with; -1 while it searches."""
+    """The object with which a busy robot interacts; -1 while it searches."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
     """The team's decision problem at one instant.
 
-    ``presence_prob`` ([C, O]) is 0 or 1 in searched containers and the likelihood elsewhere, as if containers were
-    independent; that every task object exists somewhere is for the planner to add.
+    In searched containers, ``presence_prob`` ([C, O]) is 0 or 1. Elsewhere it is the likelihood, as if containers were
+    independent. The planner itself takes into account that every task object exists somewhere.
     """
 
     automaton: Automaton
@@ -78,8 +80,8 @@ class PlanningProblem:
     search_time_s: float = 0.0
     interact_time_s: float = 0.0
     may_redirect: bool = True
-    """Whether robots under way may be redirected now: only after something was learned, or a team between two equally
-    good places would turn round at every arrival and never get anywhere."""
+    """Whether robots under way may be redirected now. This is so only after the team has learned something: otherwise a
+    team between two equally good places would turn round at every arrival and never get anywhere."""
 
     def __post_init__(self) -> None:
         containers, objects = self.presence_prob.shape
@@ -98,26 +100,26 @@ class PlanningProblem:
             raise ValueError("travel_s must be >= 0 (inf where there is no way)")
 
     def holds(self, container: int, obj: int) -> bool:
-        """Whether the object is known to be in the container."""
+        """Return whether the object is known to be in the container."""
         return bool(self.searched[container]) and self.presence_prob[container, obj] > 0
 
     def deciders(self, reassign: str) -> list[int]:
-        """The robots that a planner may assign: the free ones and, for ``all``, those that may be redirected now."""
+        """Return the robots that a planner may assign: the free ones and, with ``all``, those it may redirect now."""
         redirect = reassign == "all" and self.may_redirect
         return [index for index, robot in enumerate(self.robots) if robot.free or (redirect and robot.target >= 0)]
 
     def found(self) -> Bools:
-        """[O] whether some container is known to hold the object."""
+        """Return, for each object [O], whether some container is known to hold it."""
         known = (self.presence_prob > 0) & self.searched[:, None]
         return np.asarray(known.any(axis=0))
 
 
 @dataclass(frozen=True)
 class PlanInfo:
-    """Why a plan was chosen. Search planners fill all of it, rules only ``planning_s``.
+    """Why a plan was chosen. Search planners fill in every field; rule-based planners fill in only ``planning_s``.
 
-    A search decides one robot after the other. ``root`` lists the candidate actions of the first, ``root_robot``, the
-    most visited first: ``(assignment, visits, mean cost in s, spread in s)``.
+    A search decides for one robot after the other. ``root`` lists the candidate actions of the first robot,
+    ``root_robot``, starting with the most visited: ``(assignment, visits, mean cost in s, spread in s)``.
     """
 
     planning_s: float = 0.0
@@ -126,41 +128,44 @@ class PlanInfo:
     value_s: float = float("nan")
     root: tuple[tuple[Assignment, int, float, float], ...] = ()
     root_robot: int = -1
-    """-1 where nothing is listed."""
+    """-1 if ``root`` is empty."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """An assignment for every robot that gets a new one; robots not named keep what they do."""
+    """An assignment for every robot that gets a new one. All other robots continue what they are doing."""
 
     assignments: dict[int, Assignment]
     info: PlanInfo = field(default_factory=PlanInfo)
 
 
 def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Raises ValueError unless an option has one of its values."""
+    """Raise ValueError unless an option has one of its allowed values."""
     if value not in allowed:
         raise ValueError(f"{name} must be {' or '.join(map(repr, allowed))}, not {value!r}")
 
 
 @runtime_checkable
 class Planner(Protocol):
-    """Decides who goes where next."""
+    """Decide which robot goes where next."""
 
     knows_contents: bool
-    """Whether the planner sees the true contents from the start, as a reference for what uncertainty costs."""
+    """Whether the planner sees the true contents from the start, as a reference that shows the cost of uncertainty."""
 
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Does once what would slow the first plan down: compiles kernels."""
+        """Do in advance what would slow down the first plan, such as compiling kernels."""
         ...
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Assigns all free robots and, where the problem allows it, any robot under way; equal input, equal plan."""
+        """Assign all free robots and, where the problem allows it, any robot under way.
+
+        Equal input must give an equal plan.
+        """
         ...
 
 
 class PlanOnly:
-    """A planner of a user's own that has nothing but `plan`, as a `Planner`."""
+    """A user's own planner that has only a `plan` method, wrapped as a `Planner`."""
 
     knows_contents = False
 
@@ -168,13 +173,14 @@ class PlanOnly:
         self.plan = plan
 
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Nothing is known of what it may compile."""
+        """Do nothing: nobody knows what this planner may compile."""
 
 
 def safe(automaton: Automaton) -> Bools:
-    """[Z, O]: interactions that advance the task and cannot hurt: afterwards all that would have served still serves.
+    """Return the interactions [Z, O] that advance the task and cannot hurt.
 
-    That is ``L(delta(z, w))`` contains ``L(z)``.
+    An interaction cannot hurt if every word that would have completed the task still does: ``L(delta(z, w))`` contains
+    ``L(z)``.
     """
     after = automaton.transitions
     before = np.arange(len(after))[:, None]
@@ -183,7 +189,7 @@ def safe(automaton: Automaton) -> Bools:
 
 
 def needed(automaton: Automaton) -> Bools:
-    """[Z, O]: objects that advance the task in the state or in one that can still come before acceptance."""
+    """Return the objects [Z, O] that advance the task in a state, or in a later one that can come before acceptance."""
     result: Bools = automaton.advancing.copy()
     while True:
         grown = result.copy()
@@ -195,20 +201,20 @@ def needed(automaton: Automaton) -> Bools:
 
 
 def worth_interacting(automaton: Automaton, candidates: Bools, available: Bools) -> Bools:
-    """[Z, O]: the ``candidates`` after which the task can be finished without coming back to the state they leave.
+    """Return the ``candidates`` [Z, O] after which the task can finish without returning to the state they leave.
 
-    All others only lose time: a team that comes back could have stayed. Only letters of ``available`` [O] count.
+    All others only lose time: a team that returns could have stayed. Only letters of ``available`` [O] count.
     """
     candidates = candidates & available
     if not candidates.any():
         return candidates
-    import networkx as nx  # takes a tenth of a second to import, and few tasks have candidates
+    import networkx as nx  # its import takes a tenth of a second, and few tasks have candidates
 
     accepted = len(automaton.accepting)
     ways_back = nx.DiGraph([(accepted, int(z)) for z in np.flatnonzero(automaton.accepting)])
     for obj in np.flatnonzero(available):
         ways_back.add_edges_from((int(after), z) for z, after in enumerate(automaton.transitions[:, obj]))
-    # A state dominates those from which every way to acceptance leads through it.
+    # A state dominates all states from which every way to acceptance leads through it.
     dominators = nx.immediate_dominators(ways_back, accepted)
     tree = nx.DiGraph((before, z) for z, before in dominators.items() if before is not None and z != before)
     tree.add_node(accepted)

@@ -1,7 +1,7 @@
-"""Named tuples that a kernel's parts are given by reference.
+"""Pass named tuples to a kernel's parts by reference.
 
-numba hands a named tuple on as the numbers that make up its arrays, taken apart and put together again at each call:
-with two dozen arrays that is half of the code to be compiled.
+By default, numba passes a named tuple as the numbers that make up its arrays, and takes it apart and rebuilds it at
+each call. With two dozen arrays, that is half of the code to be compiled.
 """
 
 from typing import Any
@@ -13,14 +13,14 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 
 
 class _Reference(types.Type):
-    """Where a named tuple is."""
+    """The type of a pointer to a named tuple."""
 
     def __init__(self, to: Any) -> None:
         self.to = to
         super().__init__(name=f"reference to {to}")
 
     def field(self, name: str) -> tuple[int, types.Type]:
-        """A field's index and type, which is a reference if the field is a named tuple."""
+        """Return a field's index and type. The type is a reference if the field is a named tuple."""
         index = self.to.fields.index(name)
         kind = self.to[index]
         return index, _Reference(kind) if isinstance(kind, types.BaseNamedTuple) else kind
@@ -56,4 +56,4 @@ def _by_reference(context: Any, value: types.Type) -> Any:
 
 
 by_reference: Any = intrinsic(_by_reference)
-"""A named tuple as a kernel hands it on to its parts, which read its fields as ever. None stays None."""
+"""Return a named tuple as a kernel passes it to its parts, which read its fields as usual. None stays None."""

@@ -1,4 +1,4 @@
-"""What the compiled searches of `pouct` and of `pouct_paper` share: constants, a task's states, a sample's common part.
+"""The parts that the compiled searches of `pouct` and `pouct_paper` share: constants, task states and samples.
 
 Legend: C containers, R robots. Sets of objects are bit masks.
 """
@@ -13,16 +13,16 @@ from mrtask.planning.compiled import Records, inlined
 NONE = -1
 """No robot, container, object, node or edge."""
 AUTOMATON = 0
-"""The index in a sample's ``state`` of the task's automaton state."""
+"""The index of the automaton's state in a sample's ``state``."""
 
 STATE = np.dtype(
     [
         ("advancing", np.int64),  # mask
-        ("worth", np.int64),  # mask: advancing, and not only to come back to this state
-        ("nearer", np.int64),  # mask: advancing, and safe or one interaction nearer to acceptance
+        ("worth", np.int64),  # mask: advancing, and the task can finish without returning to this state
+        ("nearer", np.int64),  # mask: advancing, and either safe or one interaction nearer to acceptance
         ("safe", np.int64),  # mask: interactions taken without a decision
         ("needed", np.int64),  # mask: advancing now or later
-        ("steps", np.int64),  # interactions to acceptance, with objects that can be found
+        ("steps", np.int64),  # number of interactions to acceptance, with objects that can be found
         ("accepting", np.int64),
     ],
     align=True,
@@ -30,11 +30,11 @@ STATE = np.dtype(
 
 
 class Sample(Protocol):
-    """What `team_kernel.World` and the paper's `PaperBelief` have in common."""
+    """The fields that `team_kernel.World` and the paper's `PaperBelief` have in common."""
 
     @property
     def clock(self) -> Floats:
-        """[1] seconds since the root."""
+        """[1] the seconds since the root."""
 
     @property
     def state(self) -> Ints:
@@ -42,20 +42,20 @@ class Sample(Protocol):
 
     @property
     def containers(self) -> Records:
-        """[C] of the search's own CONTAINER."""
+        """[C] records of the search's own type CONTAINER."""
 
     @property
     def nowhere(self) -> Floats:
-        """[O] the probability that an object is in no container."""
+        """[O] the probability that no container holds an object."""
 
     @property
     def robots(self) -> Records:
-        """[R] of the search's own ROBOT, which has a field ``undecided``."""
+        """[R] records of the search's own type ROBOT, which has a field ``undecided``."""
 
 
 @inlined
 def copy_team(source: Sample, target: Sample) -> None:
-    """Overwrites target."""
+    """Overwrite the target with the source."""
     target.clock[0] = source.clock[0]
     for i in range(source.state.size):
         target.state[i] = source.state[i]
@@ -69,7 +69,7 @@ def copy_team(source: Sample, target: Sample) -> None:
 
 @inlined
 def any_undecided(sample: Sample) -> bool:
-    """Whether some robot is still to be assigned at this instant."""
+    """Return whether any robot still needs an assignment at this instant."""
     for r in range(sample.robots.size):
         if sample.robots[r].undecided:
             return True

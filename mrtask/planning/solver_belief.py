@@ -1,7 +1,7 @@
-"""What bounds are computed from: a decision problem with its belief, and hidden worlds drawn from it.
+"""The input of the bounds: a decision problem with its belief, and hidden worlds drawn from it.
 
-A world says which unsearched container holds which task object. Containers and objects are independent but for one
-thing: every object that no searched container holds is in some container. This is the distribution that `pouct` samples
+A world says which unsearched container holds which task object. Containers and objects are independent, with one
+exception: every object that no searched container holds is in some container. `pouct` samples this same distribution
 (`mrtask.planning.team_kernel`), so a bound on the expected makespan over these worlds bounds every planner's.
 
 Legend for array shapes: R robots, C containers, O task objects, Z automaton states, K worlds.
@@ -19,20 +19,21 @@ from mrtask.tasks.automaton import Automaton
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A decision problem as bounds see it. Containers out of reach neither hold anything nor are visited."""
+    """A decision problem as the bounds see it. Containers out of reach hold nothing and are never visited."""
 
     automaton: Automaton
     state: int
     travel_s: Floats
-    """[C, C] shortest times, by way of other containers where that is shorter: the triangle inequality holds."""
+    """[C, C] shortest times, by way of other containers where that is shorter, so that the triangle inequality
+    holds."""
     start_s: Floats
-    """[R, C] likewise from where each robot is."""
+    """[R, C] the same from each robot's position."""
     unsearched: Bools
-    """[C] containers in reach that nobody has searched."""
+    """[C] containers within reach that no robot has searched."""
     known: Bools
-    """[C, O] what searched containers hold."""
+    """[C, O] contents of the searched containers."""
     prob: Floats
-    """[C, O] of unsearched containers, 0 in all others."""
+    """[C, O] likelihoods in unsearched containers, 0 in all others."""
     needed: Bools
     """[Z, O]"""
     safe: Bools
@@ -42,25 +43,25 @@ class Belief:
 
     @property
     def robots(self) -> int:
-        """The team's size."""
+        """Return the team's size."""
         return len(self.start_s)
 
     @property
     def found(self) -> Bools:
-        """[O] whether a searched container holds the object."""
+        """Return, for each object [O], whether a searched container holds it."""
         return np.asarray(self.known.any(axis=0))
 
     @property
     def nowhere_prob(self) -> Floats:
-        """[O] the probability that no unsearched container holds an object, were it not known to exist."""
+        """Return the probability [O] that no unsearched container holds an object, as if it were not known to exist."""
         return np.asarray(np.prod(1.0 - self.prob, axis=0))
 
 
 def belief_of(problem: PlanningProblem) -> Belief:
-    """The belief of a problem, with the likelihoods that planners by search take it to have.
+    """Return the belief of a problem, with the likelihoods that the search planners use.
 
     Raises:
-        ValueError: a robot is searching or interacting: bounds are for teams that are free to go anywhere.
+        ValueError: a robot is searching or interacting; bounds need a team whose robots can go anywhere at once.
     """
     if any(not robot.free and robot.target < 0 for robot in problem.robots):
         raise ValueError("a robot is busy; bounds are for instants at which every robot is free or under way")
@@ -87,16 +88,16 @@ def belief_of(problem: PlanningProblem) -> Belief:
 
 
 def draw_worlds(belief: Belief, count: int, rng: np.random.Generator) -> Bools:
-    """[K, C, O] what all containers hold in ``count`` worlds, the searched ones as they were found.
+    """Draw the contents of all containers in ``count`` worlds, [K, C, O]. Searched ones stay as they were found.
 
     Raises:
-        ValueError: an object is neither found nor can be in any container.
+        ValueError: an object is not found and no container can hold it.
     """
     nowhere = belief.nowhere_prob
     lost = ~belief.found & (nowhere >= 1.0)
     if lost.any():
         names = ", ".join(np.array(belief.automaton.propositions)[lost])
-        raise ValueError(f"no container that is left can hold {names}: the belief has no world")
+        raise ValueError(f"no unsearched container can hold {names}: no world is possible under the belief")
     worlds = np.repeat(belief.known[None], count, axis=0)
     exists = np.repeat(belief.found[None], count, axis=0)
     for container in np.flatnonzero(belief.unsearched):

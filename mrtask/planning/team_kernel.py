@@ -1,7 +1,7 @@
-"""How a team's concurrent actions unfold in time: the compiled simulation inside every sample of `pouct`.
+"""Simulate how a team's concurrent actions unfold in time: the compiled simulation inside every sample of `pouct`.
 
-Contents are drawn when a container is searched, each given what the sample has seen so far and that every object exists
-somewhere: the same distribution as drawing the whole hidden world first, at a fraction of the cost.
+Contents are drawn when a container is searched, conditioned on what the sample has seen so far and on every object
+existing somewhere. This gives the same distribution as drawing the whole hidden world first, at a fraction of the cost.
 
 Legend: R robots, C containers, O objects, Z automaton states. Sets of objects are bit masks.
 """
@@ -20,14 +20,14 @@ DECIDE, DONE, STUCK = 0, 1, 2
 FOUND, HISTORY, NEWS = 1, 2, 3
 """Indices of `World.state`, after AUTOMATON."""
 HISTORY_FACTOR = 0x9E3779B97F4A7C15 - 2**64
-"""2**64 over the golden ratio. Its multiples by numbers below 2**31 are more than 2**31 apart, so that no two histories
-of up to two reveals meet in 64 bits, and longer ones do with negligible probability."""
+"""2**64 over the golden ratio. Its multiples by numbers below 2**31 are more than 2**31 apart. Two histories of up to
+two reveals therefore never share a 64-bit hash, and longer ones do so with negligible probability."""
 
 
 CONTAINER = np.dtype(
     [
         ("holds", np.int64),  # mask of the objects known to be in a searched container
-        ("targeted", np.int64),  # robots on the way there or busy there
+        ("targeted", np.int64),  # number of robots that go there or are busy there
         ("searched", np.int64),
     ],
     align=True,
@@ -35,12 +35,12 @@ CONTAINER = np.dtype(
 ROBOT = np.dtype(
     [
         ("until_s", np.float64),  # time of the robot's next event
-        ("since_s", np.float64),  # departure of a robot under way
+        ("since_s", np.float64),  # time of departure of a robot under way
         ("mode", np.int64),
-        ("place", np.int64),  # container a robot stands at or moves to, NONE at a place of its own
-        ("want", np.int64),  # object of a named interaction, NONE for every safe one
+        ("place", np.int64),  # container at which a robot stands or to which it moves, NONE anywhere else
+        ("want", np.int64),  # object of a named interaction, NONE to make every safe interaction
         ("doing", np.int64),  # object being interacted with
-        ("origin", np.int64),  # container departed from, or NONE: then `World.away` counts
+        ("origin", np.int64),  # container of departure, or NONE if `World.away` holds the times
         ("undecided", np.int64),
     ],
     align=True,
@@ -48,7 +48,7 @@ ROBOT = np.dtype(
 
 
 class Model(NamedTuple):
-    """What does not change while planning."""
+    """The data that do not change while planning."""
 
     travel_s: Floats  # [C, C]
     prob: Floats  # [C, O], strictly inside (0, 1); rows of searched containers are not read
@@ -56,24 +56,24 @@ class Model(NamedTuple):
     states: Records  # [Z] of STATE
     search_time_s: float
     interact_time_s: float
-    penalty_s: float  # added to the cost of a sample that can't finish
-    max_decisions: int  # more decision instants in one roll-out mean that it goes round in circles
+    penalty_s: float  # added to the cost of a sample that cannot finish
+    max_decisions: int  # a rollout with more decision instants than this goes round in circles
 
 
 class World(NamedTuple):
-    """One sample's state; the root's is kept aside and copied."""
+    """The state of one sample. The root's world is kept aside and copied."""
 
     clock: Floats  # [1] seconds since the root
-    state: Ints  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of all reveals, NEWS 1 if there was any
+    state: Ints  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of all reveals, NEWS 1 after any news
     containers: Records  # [C] of CONTAINER
     nowhere: Floats  # [O] probability that no unsearched container holds the object
     robots: Records  # [R] of ROBOT
-    away: Floats  # [R, C] travel times from the place that is no container
+    away: Floats  # [R, C] travel times from a place that is not a container
 
 
 @inlined
 def copy_world(source: World, target: World) -> None:
-    """Overwrites target."""
+    """Overwrite the target with the source."""
     copy_team(source, target)
     for r in range(source.robots.size):
         if source.robots[r].origin == NONE:
@@ -83,7 +83,7 @@ def copy_world(source: World, target: World) -> None:
 
 @inlined
 def distance_s(model: Model, world: World, r: int, c: int) -> float:
-    """Seconds from where a robot is now to a container; a robot under way goes on or turns back."""
+    """Return the seconds from a robot's position to a container. A robot under way continues or turns back."""
     robot = world.robots[r]
     origin = robot.origin
     start = world.away[r, c] if origin == NONE else model.travel_s[origin, c]
@@ -96,7 +96,7 @@ def distance_s(model: Model, world: World, r: int, c: int) -> float:
 
 @inlined
 def nearest_holding(model: Model, world: World, r: int, obj: int) -> int:
-    """The nearest container known to hold an object, NONE if there is none in reach."""
+    """Return the nearest container known to hold an object, or NONE if no such container is in reach."""
     best, best_s = NONE, np.inf
     for c in range(world.containers.size):
         if (world.containers[c].holds >> obj) & 1:
@@ -108,7 +108,7 @@ def nearest_holding(model: Model, world: World, r: int, obj: int) -> int:
 
 @inlined
 def act(model: Model, world: World, r: int, action: int) -> None:
-    """Lets a robot begin an action: a container to go to, WAIT, or C + object."""
+    """Let a robot begin an action: a container to go to, WAIT, or C + object."""
     robot = world.robots[r]
     containers = world.containers.size
     robot.undecided = 0
@@ -140,13 +140,13 @@ def act(model: Model, world: World, r: int, action: int) -> None:
 
 @inlined
 def history_after(history: int, held: int, c: int, containers: int) -> int:
-    """The hash of a history and the reveal of what a container holds."""
+    """Return the hash of a history followed by a reveal of what a container holds."""
     return (history + held * containers + c + 1) * HISTORY_FACTOR
 
 
 @inlined
 def _reveal(model: Model, world: World, rng: UInt64s, c: int) -> None:
-    """Draws what a container holds, given all that was seen and that every object still needed exists somewhere."""
+    """Draw a container's contents, given all that was seen and that every object still needed exists somewhere."""
     needed, found, held = model.states[world.state[AUTOMATON]].needed, world.state[FOUND], 0
     for o in range(model.prob.shape[1]):
         if (needed >> o) & 1:
@@ -165,7 +165,7 @@ def _reveal(model: Model, world: World, rng: UInt64s, c: int) -> None:
 
 @inlined
 def _begin_interaction(model: Model, world: World, r: int) -> bool:
-    """Starts the interaction that a robot's action allows where it stands; the one nearest to acceptance."""
+    """Start the interaction nearest to acceptance that a robot's action allows here, and return whether it began."""
     robot = world.robots[r]
     z = world.state[AUTOMATON]
     here = world.containers[robot.place].holds
@@ -192,7 +192,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
 
 @inlined
 def _release(world: World, r: int) -> None:
-    """A robot's action is over: it stands at its place, free."""
+    """End a robot's action: it stands at its place and is free."""
     robot = world.robots[r]
     robot.mode = FREE
     robot.until_s = np.inf
@@ -201,7 +201,7 @@ def _release(world: World, r: int) -> None:
 
 @inlined
 def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
-    """Handles one robot's due event; True if that frees it."""
+    """Handle one robot's due event, and return whether it frees the robot."""
     robot = world.robots[r]
     if robot.mode == MOVING:
         robot.origin = robot.place
@@ -230,7 +230,7 @@ def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
 
 @inlined
 def _anybody_decides(world: World) -> bool:
-    """Whether a robot is free, or under way and to be asked again because something was learned or done."""
+    """Return whether some robot is free, or is under way and must decide again after news."""
     for r in range(world.robots.size):
         mode = world.robots[r].mode
         if mode == FREE or (mode == MOVING and world.state[NEWS]):
@@ -240,7 +240,7 @@ def _anybody_decides(world: World) -> bool:
 
 @inlined
 def advance(model: Model, world: World, rng: UInt64s) -> int:
-    """Lets time run to the next decision instant: DECIDE with `undecided` set, DONE, or STUCK."""
+    """Let time run to the next decision instant. Return DECIDE with `undecided` set, DONE, or STUCK."""
     robots = world.robots.size
     world.state[NEWS] = 0
     freed = False
@@ -256,7 +256,7 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
         if freed and world.robots[due].until_s > world.clock[0] + SAME_INSTANT_S:
             if _anybody_decides(world):
                 break
-            freed = False  # whoever was freed has begun an interaction since
+            freed = False  # every robot that was freed has begun an interaction since then
         world.clock[0] = max(world.clock[0], world.robots[due].until_s)
         z = world.state[AUTOMATON]
         if _finish_event(model, world, rng, due):
@@ -264,7 +264,7 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
         if world.state[AUTOMATON] != z:
             if model.states[world.state[AUTOMATON]].accepting:
                 return DONE
-            for r in range(robots):  # robots waiting at an object whose time has come
+            for r in range(robots):  # robots that waited at an object may interact with it now
                 robot = world.robots[r]
                 if robot.mode == FREE and robot.place != NONE and world.containers[robot.place].searched:
                     robot.want = NONE
@@ -280,7 +280,7 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
 
 @inlined
 def reconsider(world: World, r: int) -> None:
-    """Puts a robot under way up for decision."""
+    """Make a robot under way undecided."""
     robot = world.robots[r]
     robot.undecided = 1
     world.containers[robot.place].targeted -= 1
@@ -288,7 +288,7 @@ def reconsider(world: World, r: int) -> None:
 
 @inlined
 def may_wait(world: World, r: int) -> bool:
-    """Waiting makes sense while somebody else acts or is still to be decided."""
+    """Return whether a robot may wait: another robot must be acting, or still undecided."""
     for other in range(world.robots.size):
         if other != r and (world.robots[other].undecided or world.robots[other].mode != FREE):
             return True

@@ -1,4 +1,4 @@
-"""A planning problem in the terms of the team's compiled simulation, and back."""
+"""Translate a planning problem into the terms of the team's compiled simulation, and back."""
 
 import numpy as np
 
@@ -18,21 +18,22 @@ from mrtask.planning.shared_kernel import AUTOMATON, NONE, STATE
 from mrtask.tasks.automaton import Automaton
 
 MIN_PROB = 1e-6
-"""Likelihoods of 0 and 1 move this far inside: a container that should hold nothing is searched last, not never."""
+"""Likelihoods of 0 and 1 move inside the open interval by this much: a container that should hold nothing is searched
+last, not never."""
 MAX_OBJECTS = 30
 MOVES_PER_EVENT = 4
-"""Between two events at which something is learned or done, a robot of a roll-out moves fewer times than this."""
+"""Between two events at which something is learned or done, a robot of a rollout makes fewer moves than this."""
 
 
 def team_model(problem: PlanningProblem) -> kernel.Model:
-    """What does not change while planning; containers out of every robot's reach hold nothing.
+    """Return the data that do not change while planning. Containers that no robot can reach hold nothing.
 
     Raises:
-        ValueError: more task objects than the kernel's bit masks hold.
+        ValueError: the task has more objects than the kernel's bit masks hold.
     """
     objects = problem.presence_prob.shape[1]
     if objects > MAX_OBJECTS:
-        raise ValueError(f"planners by search handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
+        raise ValueError(f"search planners handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     reachable = np.isfinite(np.array([robot.travel_s for robot in problem.robots])).any(axis=0)
     prob = np.ascontiguousarray(np.clip(problem.presence_prob, MIN_PROB, 1.0 - MIN_PROB))
@@ -50,14 +51,14 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
 
 
 def stuck_penalty_s(problem: PlanningProblem) -> float:
-    """What a sample that cannot finish the task costs more: the time to visit all containers one by one, at least."""
+    """Return the extra cost of a sample that cannot finish: at least the time to visit all containers one by one."""
     ways_s = np.concatenate([problem.travel_s, [robot.travel_s for robot in problem.robots]])
     longest_s = ways_s[np.isfinite(ways_s)].max(initial=1.0)
     return float(len(problem.searched) * (longest_s + problem.search_time_s))
 
 
 def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool) -> kernel.World:
-    """The team as it is now; ``reassign_all`` puts robots under way up for decision where the problem allows it."""
+    """Return the team's present state; ``reassign_all`` lets robots under way decide where the problem allows it."""
     root = blank_world(problem)
     root.containers.searched[:] = problem.searched
     root.containers.holds[:] = np.where(problem.searched, masks(problem.presence_prob > 0), 0)
@@ -84,7 +85,7 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
 
 
 def blank_world(problem: PlanningProblem) -> kernel.World:
-    """A world of the problem's size, to be overwritten."""
+    """Return a world of the problem's size, to be overwritten."""
     containers, objects = problem.presence_prob.shape
     robots = len(problem.robots)
     return kernel.World(
@@ -106,7 +107,7 @@ def blank_world(problem: PlanningProblem) -> kernel.World:
 
 
 def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Records:
-    """So many records, all 0 but for the fields given."""
+    """Return ``count`` records whose fields are 0, except for the given values."""
     records = np.zeros(count, dtype=dtype).view(np.recarray)
     for name, value in values.items():
         records[name] = value
@@ -114,13 +115,13 @@ def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Reco
 
 
 def obtainable(problem: PlanningProblem) -> Bools:
-    """Return the [O] objects that were found, or all of them while there is somewhere left to search."""
+    """Return the objects [O] that were found, or all of them while somewhere is left to search."""
     reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
     return np.asarray(problem.found() | (reachable & ~problem.searched).any())
 
 
 def state_records(automaton: Automaton, available: Bools) -> Records:
-    """Return [Z] what kernels know of a task's states, where only the ``available`` [O] objects will be found."""
+    """Return the task's states [Z] as kernels know them, if only the ``available`` [O] objects will be found."""
     records = blank_records(len(automaton.accepting), STATE)
     steps, harmless = automaton.steps_with(available), safe(automaton)
     nearer = automaton.advancing & (harmless | (steps[automaton.transitions] < steps[:, None]))
@@ -135,7 +136,7 @@ def state_records(automaton: Automaton, available: Bools) -> Records:
 
 
 def assignment_begun(world: kernel.World, robot: int) -> Assignment:
-    """What `team_kernel.act` just made of a robot, as an assignment."""
+    """Return, as an assignment, the action that `team_kernel.act` has just begun for a robot."""
     if world.robots[robot].mode != kernel.MOVING:
         return Assignment(WAIT)
     want = int(world.robots[robot].want)
@@ -143,6 +144,6 @@ def assignment_begun(world: kernel.World, robot: int) -> Assignment:
 
 
 def masks(members: np.ndarray) -> Ints:
-    """[N] bit masks of the rows of a boolean [N, O]."""
+    """Return the bit masks [N] of the rows of a boolean array [N, O]."""
     result: Ints = (members.astype(np.int64) << np.arange(members.shape[1])).sum(axis=1)
     return result

@@ -1,10 +1,10 @@
-"""The tree of histories that both PO-UCT planners search (Silver & Veness 2010), and the options they share.
+"""The tree of histories that both PO-UCT planners search (Silver & Veness 2010), and the options that they share.
 
-A node is a history and the robot to decide for, an edge one of that robot's actions, a child of an edge what was
-observed next: several robots that decide at one instant are nodes one below the other. Edges keep the costs of the
-samples that went through them, and UCB1 (Auer et al. 2002) picks among them.
+A node is a history and the robot that decides; an edge is one of that robot's actions; a child of an edge is the
+observation that follows. Several robots that decide at one instant are nodes one below the other. Edges keep the costs
+of the samples that went through them, and UCB1 (Auer et al. 2002) chooses among them.
 
-Legend: M nodes or edges at most, R robots. NONE ends lists.
+Legend: M nodes or edges at most, R robots. NONE ends a list.
 """
 
 import math
@@ -25,23 +25,23 @@ NODES, EDGES = 0, 1
 COUNT, MEAN, SQUARES, MAX_SPREAD = 0, 1, 2, 3
 """Indices of `Tree.moments`: Welford's running sums, and the largest standard deviation so far."""
 MAX_PATH = 4096
-"""Decisions in one sample that the tree follows at most."""
+"""The largest number of decisions that the tree follows in one sample."""
 BATCH_SAMPLES = 512
-"""Samples between two looks at the clock and at whether the choice is settled."""
+"""The number of samples between two checks of the clock and of whether the choice is settled."""
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What bounds and steers a tree search."""
+    """The options that limit and steer a tree search."""
 
     samples: int = 100_000
-    """At most."""
+    """The largest number of samples."""
     time_limit_s: float | None = None
     """Stop earlier after this many seconds; plans then depend on the machine."""
     exploration: float = 1.0
-    """UCB1's constant, in standard deviations of the cost at the root (the largest while the search went on)."""
+    """UCB1's constant, in standard deviations of the cost at the root (the largest so far in the search)."""
     max_nodes: int = 1_000_000
-    """The tree stops growing there; further samples only refine it."""
+    """The tree stops growing at this size; further samples only refine it."""
 
     def __post_init__(self) -> None:
         for name in ("samples", "max_nodes"):
@@ -55,24 +55,24 @@ class SearchOptions:
 
 NODE = np.dtype(
     [
-        ("key", np.int64),  # what was observed on the way from the parent's edge
+        ("key", np.int64),  # the observation that led here from the parent's edge
         ("visits", np.int64),
         ("robot", np.int64),
-        ("first_edge", np.int64),  # the newest
-        ("next_untried", np.int64),  # the next action, by its planner's order, that the node has not tried
+        ("first_edge", np.int64),  # its newest edge
+        ("next_untried", np.int64),  # the next action, in its planner's order, that the node has not tried
         ("sibling", np.int64),  # the next child of the same edge
     ],
     align=True,
 )
 EDGE = np.dtype(
     [
-        ("action", np.int64),  # in its planner's terms
+        ("action", np.int64),  # numbered as its planner does
         ("next_edge", np.int64),  # the next older edge of the same node
         ("first_child", np.int64),
         ("visits", np.int64),  # samples through the edge
         ("total_s", np.float64),  # their summed costs
         ("squares", np.float64),  # their summed squared costs
-        ("mean_s", np.float64),  # what UCB1 needs of them, kept so that no root or quotient is taken at each look:
+        ("mean_s", np.float64),  # what UCB1 needs, stored so that it takes no root or quotient each time:
         ("width", np.float64),  # the mean cost, and 1 / sqrt(visits)
     ],
     align=True,
@@ -90,7 +90,7 @@ class Tree(NamedTuple):
 
 
 def empty_tree(options: SearchOptions) -> Tree:
-    """A tree without nodes, as large as the search can get."""
+    """Return a tree without nodes, as large as the search can get."""
     nodes = min(options.samples + 1, options.max_nodes)
     return Tree(
         size=np.zeros(2, dtype=np.int64),
@@ -104,7 +104,10 @@ def empty_tree(options: SearchOptions) -> Tree:
 def run_search(
     options: SearchOptions, run: Callable[[int], None], is_settled: Callable[[int], bool] = lambda _: False
 ) -> int:
-    """Calls ``run(count)`` until the samples or the time are spent or ``is_settled(samples left)``; the samples run."""
+    """Call ``run(count)`` until the samples or the time are used up or the choice is settled.
+
+    ``is_settled`` gets the number of samples that remain. Returns the number of samples that were run.
+    """
     began_s, done = perf_counter(), 0
     while done == 0 or (done < options.samples and not is_settled(options.samples - done)):
         count = min(BATCH_SAMPLES, options.samples - done)
@@ -117,7 +120,7 @@ def run_search(
 
 @inlined
 def add_node(tree: Tree, robot: int, key: int) -> int:
-    """A new node for a robot's decision."""
+    """Add a node for a robot's decision, and return it."""
     node = tree.size[NODES]
     tree.size[NODES] = node + 1
     record = tree.nodes[node]
@@ -132,7 +135,7 @@ def add_node(tree: Tree, robot: int, key: int) -> int:
 
 @inlined
 def add_edge(tree: Tree, node: int, action: int) -> int:
-    """A new action of a node."""
+    """Add an action to a node, and return its edge."""
     edge = tree.size[EDGES]
     tree.size[EDGES] = edge + 1
     record = tree.edges[edge]
@@ -148,7 +151,7 @@ def add_edge(tree: Tree, node: int, action: int) -> int:
 
 @inlined
 def child_of(tree: Tree, edge: int, key: int) -> int:
-    """The node that follows an edge and an observation, NONE if it is new."""
+    """Return the node that follows an edge and an observation, or NONE if it is new."""
     child = tree.edges[edge].first_child
     while child != NONE and tree.nodes[child].key != key:
         child = tree.nodes[child].sibling
@@ -157,7 +160,7 @@ def child_of(tree: Tree, edge: int, key: int) -> int:
 
 @inlined
 def attach(tree: Tree, edge: int, node: int) -> None:
-    """Puts a new node at the end of an edge's children, where what is seen more often comes sooner."""
+    """Append a new node to an edge's children. Frequent observations thus tend to come early."""
     child = tree.edges[edge].first_child
     if child == NONE:
         tree.edges[edge].first_child = node
@@ -169,17 +172,17 @@ def attach(tree: Tree, edge: int, node: int) -> None:
 
 @inlined
 def spread_s(tree: Tree) -> float:
-    """The scale of costs, for UCB1's constant: their largest standard deviation so far.
+    """Return the scale of the costs for UCB1's constant: their largest standard deviation so far.
 
-    The present one would fall while the search settles on one action, faster than the logarithm grows, and end
-    exploration for good.
+    The present standard deviation would fall while the search settles on one action, faster than the logarithm grows,
+    and would end exploration for good.
     """
     return tree.moments[MAX_SPREAD] if tree.moments[COUNT] > 1 else 1.0
 
 
 @inlined
 def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
-    """A node's edge of least lower confidence bound (UCB1 for costs); NONE if it has no edge."""
+    """Return a node's edge with the least lower confidence bound (UCB1 for costs), or NONE if it has no edge."""
     radius_s = exploration_s * np.sqrt(np.log(tree.nodes[node].visits + 1.0))
     best, best_bound = NONE, np.inf
     edge = tree.nodes[node].first_edge
@@ -194,7 +197,7 @@ def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
 
 @inlined
 def back_up(tree: Tree, depth: int, cost_s: float) -> None:
-    """Adds a sample's cost to the ``depth`` edges of its path."""
+    """Add a sample's cost to the ``depth`` edges of its path."""
     moments = tree.moments
     moments[COUNT] += 1
     delta = cost_s - moments[MEAN]
@@ -212,7 +215,7 @@ def back_up(tree: Tree, depth: int, cost_s: float) -> None:
 
 
 def edges_of(tree: Tree, node: int) -> list[int]:
-    """A node's edges, the newest first."""
+    """Return a node's edges, starting with the newest."""
     edges, edge = [], int(tree.nodes[node].first_edge)
     while edge != NONE:
         edges.append(edge)
@@ -221,19 +224,25 @@ def edges_of(tree: Tree, node: int) -> list[int]:
 
 
 def mean_cost_s(tree: Tree, edge: int) -> float:
-    """The mean cost of the samples through an edge."""
+    """Return the mean cost of the samples through an edge."""
     return float(tree.edges[edge].total_s / tree.edges[edge].visits)
 
 
 def most_visited(tree: Tree, node: int) -> int:
-    """The most visited edge, of equals the one of least mean cost; NONE at a leaf."""
+    """Return the most visited edge, or NONE at a leaf.
+
+    Of equally visited edges, take the one with the least mean cost.
+    """
     return min(
         edges_of(tree, node), key=lambda edge: (-int(tree.edges[edge].visits), mean_cost_s(tree, edge)), default=NONE
     )
 
 
 def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
-    """Whether the most visited joint action of the robots that decide now stays so, wherever the samples left go."""
+    """Return whether the search has settled on its joint action for the robots that decide now.
+
+    It has when the most visited joint action stays the most visited one, wherever the remaining samples go.
+    """
     node = 0
     for _ in range(deciders):
         visits = [*sorted((int(tree.edges[edge].visits) for edge in edges_of(tree, node)), reverse=True), 0, 0]
@@ -248,7 +257,7 @@ def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
 def root_statistics(
     tree: Tree, assignment: Callable[[int], Assignment]
 ) -> tuple[tuple[Assignment, int, float, float], ...]:
-    """`PlanInfo.root`; ``assignment`` says what an action means."""
+    """Return `PlanInfo.root`; ``assignment`` translates the tree's actions."""
     rows = []
     for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.edges[edge].visits):
         mean_s = mean_cost_s(tree, edge)

@@ -1,7 +1,7 @@
 """Compile planners' kernels before they are needed, each set of kernels in its own process, several at once.
 
-The processes leave the kernels in numba's cache on disk, where every other process finds them. numba itself compiles
-one function at a time.
+The processes leave the kernels in numba's cache on disk, where every other process finds them. By itself, numba
+compiles one function at a time.
 """
 
 import json
@@ -21,22 +21,22 @@ from mrtask.tasks.automaton import build_automaton
 Planners = Mapping[str, tuple[str, Mapping[str, object]]]
 """The name and the options of each planner, by its label."""
 MARK = "compiled"
-"""The file in the kernels' cache folder that says that planners were compiled there."""
+"""The file in the kernels' cache folder which says that planners were compiled there."""
 
 
 def kernels_missing() -> bool:
-    """Return whether no planner has been compiled with this code yet, as on a new machine or after an edit."""
+    """Return whether no planner has been compiled with this code yet, for example on a new machine or after an edit."""
     return not (use_kernel_cache() / MARK).exists()
 
 
 def mark_compiled() -> None:
     """Note, for `kernels_missing`, that a planner has been compiled with this code."""
-    with suppress(OSError):  # where numba can keep no kernels either
+    with suppress(OSError):  # numba cannot keep kernels there either
         (use_kernel_cache() / MARK).touch()
 
 
 class Compilation:
-    """Kernels being compiled. Leaving the context stops the compilations that have not finished."""
+    """Kernels that are being compiled. Leaving the context stops all unfinished compilations."""
 
     def __init__(self, planners: Planners) -> None:
         sharing: dict[str, dict[str, tuple[str, Mapping[str, object]]]] = {}
@@ -56,7 +56,7 @@ class Compilation:
             process.communicate()
 
     def finished(self) -> Iterator[tuple[str, str]]:
-        """Yield each planner when its kernels are compiled, with the error message or an empty text."""
+        """Yield each planner once its kernels are compiled, with the error message or an empty text."""
         for names in list(self._running):
             _, said = self._running[names].communicate()
             failed = self._running.pop(names).returncode != 0
@@ -65,7 +65,7 @@ class Compilation:
 
 
 def compile_kernels(planners: Planners) -> None:
-    """Compile in this process what the planners need."""
+    """Compile in this process the kernels that the planners need."""
     for planner in planners.values():
         make_planner(*planner).warm_up(_problem())
     mark_compiled()
@@ -77,7 +77,7 @@ def _start(planners: Planners) -> "subprocess.Popen[str]":
 
 
 def _problem() -> PlanningProblem:
-    """Return a small problem; kernels are the same for all problems."""
+    """Return a small problem. Kernels are the same for all problems."""
     automaton = build_automaton("F a & F b", ["a", "b"])
     travel_s = np.array([[0.0, 1.0], [1.0, 0.0]])
     team = (RobotStatus(np.ones(2)), RobotStatus(np.ones(2)))

@@ -11,7 +11,8 @@ from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 BASELINES = ("nonlearned_myopic", "learned_myopic")
 PROFILE_FACTORS = (1.0, 1.1, 1.25, 1.5, 2.0)
-"""The factors of a performance profile: the share of trials on which a cost is at most this many times the best."""
+"""The factors of a performance profile, which gives the share of trials whose cost is at most this many times the
+best."""
 SAME_COST = 1 + 1e-9
 
 
@@ -22,7 +23,7 @@ def render_card(
 
     Args:
         episodes: the planner's rows, `mrtask.suite.score.COLUMNS`.
-        recorded: rows of our planners on the same trials; those of a planner of the same name give way to the new.
+        recorded: rows of our planners on the same trials. New rows replace those of a planner with the same name.
     """
     together = pd.concat([recorded[recorded["planner"] != planner], episodes], ignore_index=True)
     costs = paired_costs(together)
@@ -61,7 +62,7 @@ def render_card(
 
 
 def planning_text(episodes: pd.DataFrame) -> str:
-    """Return how long planning took; it depends on the machine, so it is not part of the score."""
+    """Return how long planning took. It depends on the machine, so it is not part of the score."""
     decisions = episodes["decisions"].sum()
     mean_ms = 1000 * episodes["planning_s"].sum() / max(decisions, 1)
     worst_ms = 1000 * (episodes["planning_s"] / episodes["decisions"].clip(lower=1)).max()
@@ -90,7 +91,7 @@ def _text(estimate: Estimate) -> str:
 
 
 def _profiles(costs: pd.DataFrame) -> dict[str, list[float]]:
-    """Return performance profiles (Dolan and Moré 2002) of all planners that do not know where everything is."""
+    """Return performance profiles (Dolan and Moré 2002) of all planners that do not know all contents."""
     fair = [name for name in costs.columns if planner_role(name) is not Role.BOUND]
     best = costs[fair].min(axis=1)
     ratios = costs[fair].div(best.where(best > 0), axis=0).where(best > 0, costs[fair].add(1.0))

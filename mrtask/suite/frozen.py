@@ -1,8 +1,8 @@
-"""A frozen suite: homes, trials, likelihoods and travel lengths in one file, known by its sha256.
+"""A frozen suite: homes, trials, likelihoods and travel lengths in one file, identified by its sha256.
 
-The file holds everything that a score depends on except the planner, the making of maps and the simulation of episodes.
-To guard against changed maps, it also holds the lengths of the ways between all containers: if this version of mrtask
-maps a home differently, the suite is refused, because its scores would be comparable with no others.
+The file holds everything on which a score depends, except the planner, the building of maps and the simulation of
+episodes. To guard against changed maps, it also holds the lengths of the ways between all containers. If this version
+of mrtask maps a home differently, the suite is refused, because its scores could not be compared with any others.
 ``benchmarks/freeze_suite.py`` made the file.
 """
 
@@ -33,7 +33,7 @@ SUITES: Mapping[str, str] = {
 """The suites that come with the package, with the sha256 of their files."""
 DEFAULT_SUITE = "mrtask-1"
 LENGTH_TOLERANCE_M = 1e-3
-"""Lengths are sums of single-precision steps; they are kept in whole millimetres."""
+"""Lengths are sums of single-precision steps; the suite stores them in whole millimetres."""
 UNREACHABLE = -1
 MM_PER_M = 1000.0
 
@@ -44,17 +44,17 @@ class SuiteError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Suite:
-    """Trials on homes with the likelihoods that planners are given."""
+    """Trials on homes, with the likelihoods that planners receive."""
 
     name: str
     homes: Mapping[str, Home]
     trials: tuple[Trial, ...]
     table: LikelihoodTable
     travel_mm: Mapping[str, NDArray[np.int64]]
-    """Home id -> [C, C] lengths of the ways between containers, `UNREACHABLE` where there is no way."""
+    """The lengths [C, C] of the ways between containers by home id, `UNREACHABLE` if no way exists."""
 
     def map_of(self, home_id: str, cache_dir: Path | None = None) -> HomeMap:
-        """Return the home's map; raise `SuiteError` if it is not the one that the suite was frozen with."""
+        """Return the home's map. Raises `SuiteError` if it differs from the map with which the suite was frozen."""
         home_map = cached_map(self.homes[home_id], cache_dir)
         frozen, found = self.travel_mm[home_id], home_map.travel_m
         there = frozen != UNREACHABLE

@@ -1,6 +1,6 @@
 """Recorded episodes of our planners on a suite, so that scoring a planner does not have to run the others.
 
-``benchmarks/record_scores.py`` makes them; a test runs some of them again and compares.
+``benchmarks/record_scores.py`` makes them. A test runs some of them again and compares.
 """
 
 import json
@@ -37,7 +37,7 @@ def recorded_episodes(suite: Suite) -> pd.DataFrame:
 
 
 def recorded_text(costs: pd.DataFrame, version: str) -> str:
-    """Return the file's content for costs in seconds, trials x planners; costs keep all their digits."""
+    """Return the file's content for costs in seconds, trials x planners. Costs keep all their digits."""
     head = f"# recorded with mrtask {version}; options: {json.dumps(PLANNERS)}\n"
     return head + costs[list(PLANNERS)].to_csv(float_format="%.17g", lineterminator="\n")
 

@@ -4,8 +4,9 @@
     mrtask score my_lab.Cautious options='{margin_s: 2}' suite=mrtask-1 workers=8 out=card/
     mrtask score my_lab.Cautious trials_per_cell=2            # a quick look, not a score
 
-The planner is given by its import path or a name of ours (pouct, greedy, ...), its options as YAML. The scores are the
-same on any number of workers and on any machine; only planning times differ. ``out=`` keeps card.txt and episodes.csv.
+The planner is given by its import path or by a name of ours (pouct, greedy, ...), its options as YAML. The scores are
+the same on any number of workers and on any machine; only planning times differ. ``out=`` keeps card.txt and
+episodes.csv.
 """
 
 import multiprocessing
@@ -52,7 +53,7 @@ class Request:
 
     @staticmethod
     def parse(arguments: list[str]) -> "Request":
-        """Read the request from a command line; raises `InputError`."""
+        """Read the request from a command line. Raises `InputError`."""
         names = [argument for argument in arguments if "=" not in argument]
         if len(names) != 1:
             raise InputError(f"give one planner to score, not {', '.join(names) or 'none'}\n{__doc__}")
@@ -91,15 +92,15 @@ class Request:
 def score_planner(request: Request, on_episode: Callable[[], None] | None = None) -> pd.DataFrame:
     """Run the planner; return `COLUMNS`, one row per trial in the suite's order.
 
-    An exception in the planner is a row of status ``error``. The planner is made anew for each trial, so that no trial
+    An exception in the planner becomes a row of status ``error``. Each trial has a new planner, so that no trial
     depends on another.
     """
     suite = load_suite(request.suite)
-    planner = make_planner(request.planner, request.options)  # refuses what is wrong before any work
+    planner = make_planner(request.planner, request.options)  # refuses wrong input before any work
     numbers = request.trial_numbers()
     rows: dict[int, dict[str, Any]] = {}
     first = suite.trials[0]
-    # Compiled once here, so that the workers find the kernels in numba's cache.
+    # Compile once here, so that the workers find the kernels in numba's cache.
     warm_up(first, suite.homes[first.home_id], *_seen(suite, 0), planner)
     mark_compiled()
     if request.workers == 1:

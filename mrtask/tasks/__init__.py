@@ -1,1 +1,1 @@
-"""Tasks: co-safe LTL formulas over interactions with objects, and the automata that say when they are done."""
+"""Tasks: co-safe LTL formulas over interactions with objects, and the automata that tell when they are done."""

@@ -1,9 +1,9 @@
 """The minimal automaton of a task: which interactions advance it, which spoil it, and when it is done.
 
-A run's word has one letter per completed interaction. A state accepts when every continuation satisfies the formula,
-whatever happens later: any infinite sequence of letters, each an interaction with one of the propositions or with
-*none of them* (another object, or nothing ever again). The latter matters: a team that can interact with nothing but
-``a`` has not done ``F a`` before it did ``a``. Formulas are read over infinite words, so ``X true`` is ``true``.
+A run's word has one letter per completed interaction. A state accepts if every continuation satisfies the formula,
+whatever happens later: any infinite sequence of letters, each an interaction with one of the propositions or with *none
+of them* (another object, or nothing ever again). The latter matters: a team that can interact with nothing but ``a``
+has not done ``F a`` before it has done ``a``. Formulas are read over infinite words, so ``X true`` is ``true``.
 """
 
 from collections import deque
@@ -19,7 +19,8 @@ from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, St
 
 MAX_STATES = 10_000
 NEVER_ACCEPTS = 2**30
-"""The sink's entry in ``steps_to_accept``: larger than any number of letters, and two of them still add up in int32."""
+"""The sink's entry in ``steps_to_accept``. It is larger than any number of letters, and two of them still fit in
+int32."""
 _ROWS_PER_BLOCK = 256
 
 
@@ -43,25 +44,25 @@ class Automaton:
 
     @cached_property
     def advancing(self) -> Bools:
-        """``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
+        """Return ``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
         itself = np.arange(len(self.transitions))[:, None]
         advancing: Bools = (self.transitions != itself) & (self.transitions != self.sink)
         return advancing
 
     @cached_property
     def steps_to_accept(self) -> Int32s:
-        """``[Z]``: the least number of letters to an accepting state, ``NEVER_ACCEPTS`` for the sink."""
+        """Return ``[Z]``: the least number of letters to an accepting state, or ``NEVER_ACCEPTS`` for the sink."""
         return _steps_to_accept(self.transitions, self.accepting)
 
     def steps_with(self, available: Bools) -> Int32s:
-        """``[Z]``: like ``steps_to_accept``, but only with letters of the ``available`` ``[O]`` propositions."""
+        """Return ``[Z]``: like ``steps_to_accept``, but only with letters of the ``available`` ``[O]`` propositions."""
         return _steps_to_accept(self.transitions[:, available], self.accepting)
 
     @cached_property
     def includes(self) -> Bools:
-        """``[Z, Z]``: ``includes[a, b]`` when all that finishes the task from ``b`` also finishes it from ``a``."""
-        # The greatest fixed point over the letters, from a necessary condition that leaves few pairs; in blocks of
-        # rows, since lists of all pairs would take far more memory than the result.
+        """Return ``[Z, Z]``: ``includes[a, b]`` if every word that finishes the task from ``b`` does so from ``a``."""
+        # The greatest fixed point over the letters, from a necessary condition that leaves few pairs. It works in
+        # blocks of rows, because lists of all pairs would take far more memory than the result.
         steps = self.steps_to_accept
         includes = steps[:, None] <= steps[None, :]
         shrunk = True
@@ -79,7 +80,7 @@ class Automaton:
         return includes
 
     def run(self, letters: Iterable[str], start: int | None = None) -> int:
-        """The state after a sequence of interactions from ``start`` (the initial state when it is not given).
+        """Return the state after a sequence of interactions from ``start`` (by default the initial state).
 
         Raises:
             ValueError: A letter is not one of the propositions.
@@ -92,7 +93,7 @@ class Automaton:
         return state
 
     def to_dot(self) -> str:
-        """The automaton in Graphviz's language: accepting states with a double line, the sink grey."""
+        """Return the automaton in Graphviz's language: accepting states have a double line, the sink is grey."""
         lines = [
             "digraph task {",
             f'  label="{" ".join(self.formula.split())}"; labelloc=t; rankdir=LR;',
@@ -159,8 +160,11 @@ class _TooManyStatesError(Exception):
 
 
 def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tuple[Int32s, Bools]:
-    """The S states that progression reaches, the formula's own first: the successors ``[S, len(letters) + 1]`` after
-    each letter and, in the last column, after none of them; and whether each accepts ``[S]``."""
+    """Return the S states that progression reaches, starting with the formula itself.
+
+    These are the successors ``[S, len(letters) + 1]`` after each letter and, in the last column, after none of them;
+    and whether each state accepts ``[S]``.
+    """
     progression = Progression()
     numbers: dict[State, int] = {}
     queue: deque[State] = deque()
@@ -180,7 +184,8 @@ def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tup
         rows.append([number(progression.after(state, letter)) for letter in (*letters, None)])
     graph = np.array(rows, dtype=np.int32)
 
-    # A formula that is satisfied for certain is true after boundedly many letters, whichever they are (König's lemma).
+    # A formula that is certain to be satisfied is true after a bounded number of letters, whichever they are
+    # (König's lemma).
     accepting = np.array([state == TRUE for state in numbers])
     while True:
         extended = accepting | accepting[graph].all(axis=1)
@@ -190,7 +195,10 @@ def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tup
 
 
 def _minimised(graph: Int32s, accepting: Bools) -> tuple[Int32s, Bools]:
-    """Moore's partition refinement of the graph ``[S, O]``, then the blocks reached from state 0, breadth first."""
+    """Apply Moore's partition refinement to the graph ``[S, O]``.
+
+    Return the blocks that state 0 reaches, breadth first.
+    """
     block = accepting.astype(np.intp)
     count = len(np.unique(block))
     while True:

@@ -1,9 +1,9 @@
-"""Parser of co-safe LTL task formulas, with errors that point at the offending character.
+"""Parse co-safe LTL task formulas, with errors that point at the offending character.
 
 The grammar, from the tightest binding to the loosest: ``! X F`` (unary), ``U`` (right-associative), ``&``, ``|``,
-``->`` (right-associative); ``true``, ``false``, parentheses and object names. A formula is accepted when it is
-syntactically co-safe (Kupferman and Vardi, *Model Checking of Safety Properties*, 2001): with the negations pushed
-inward, none is left in front of ``F`` or ``U``, so each satisfying run satisfies it after finitely many letters.
+``->`` (right-associative); ``true``, ``false``, parentheses and object names. A formula is accepted if it is
+syntactically co-safe (Kupferman and Vardi, *Model Checking of Safety Properties*, 2001): when its negations are pushed
+inward, none remains in front of ``F`` or ``U``, so each satisfying run satisfies it after finitely many letters.
 """
 
 import difflib
@@ -16,9 +16,9 @@ from mrtask.errors import InputError
 
 RESERVED_WORDS = ("X", "F", "U", "G", "true", "false")
 MAX_NESTING = 100
-"""Levels of nested parentheses and operators, well inside Python's recursion limit."""
+"""The deepest nesting of parentheses and operators, well inside Python's recursion limit."""
 NAMES_SHOWN = 20
-"""Allowed names listed in an error before it only counts them."""
+"""The number of allowed names that an error lists before it only counts them."""
 
 _NAME = re.compile(r"[^\W\d]\w*")
 _TOKEN = re.compile(r"[^\W\d]\w*|->|[!&|()]")
@@ -31,7 +31,7 @@ _NEVER_COMPLETED = (
 
 
 class FormulaError(InputError):
-    """A formula that is not a task: what is wrong, and the ``position`` (counted from 1), with a caret under it."""
+    """A formula that is not a task. It says what is wrong and the ``position`` (from 1), with a caret under it."""
 
     def __init__(self, message: str, text: str, position: int) -> None:
         super().__init__(message, text, position)
@@ -138,8 +138,10 @@ def parse(text: str, propositions: Collection[str] | None = None) -> Formula:
 
 
 def push_negations(formula: Formula, negated: bool = False) -> Formula:
-    """The equivalent formula (of the negation, where ``negated``) in constants, propositions, negated propositions,
-    ``And``, ``Or``, ``Next`` and ``Until``; ``F a`` becomes ``true U a``.
+    """Return the equivalent formula (of the negation if ``negated``) with its negations pushed inward.
+
+    It consists of constants, propositions, negated propositions, ``And``, ``Or``, ``Next`` and ``Until``; ``F a``
+    becomes ``true U a``.
 
     Raises:
         ValueError: A negation stays in front of ``F`` or ``U``; ``parse`` has refused such a formula.
@@ -168,7 +170,7 @@ def push_negations(formula: Formula, negated: bool = False) -> Formula:
 
 
 def proposition_names(formula: Formula) -> tuple[str, ...]:
-    """The names in a formula, each once, in order of appearance."""
+    """Return the names in a formula, each once, in order of appearance."""
     match formula:
         case Constant():
             return ()
@@ -208,7 +210,7 @@ def check_names(names: Iterable[str]) -> tuple[str, ...]:
 
 
 class _NotCoSafe(ValueError):
-    """A negated ``F`` or ``U``, where only ``parse`` knows the text to show."""
+    """A negated ``F`` or ``U``. Only ``parse`` knows the text to show."""
 
     def __init__(self, formula: Eventually | Until) -> None:
         operator = "F" if isinstance(formula, Eventually) else "U"
@@ -218,7 +220,7 @@ class _NotCoSafe(ValueError):
 
 
 class _Parser:
-    """Precedence climbing over the tokens of one formula."""
+    """A precedence-climbing parser over the tokens of one formula."""
 
     def __init__(self, text: str, propositions: Collection[str] | None) -> None:
         self.text = text
@@ -239,7 +241,7 @@ class _Parser:
         return formula
 
     def _tokens(self) -> list[tuple[str, int]]:
-        """Tokens with their positions, then an empty one for the end."""
+        """Return the tokens with their positions, then an empty token for the end."""
         tokens = []
         index = 0
         while index < len(self.text):
@@ -253,7 +255,7 @@ class _Parser:
         return [*tokens, ("", len(self.text.rstrip()) + 1)]
 
     def _binary(self, loosest: int) -> Formula:
-        """Operands joined by operators that bind at least as tightly as ``loosest``."""
+        """Parse operands joined by operators that bind at least as tightly as ``loosest``."""
         left = self._unary()
         while True:
             operator, position = self.tokens[self.next]
@@ -274,7 +276,7 @@ class _Parser:
                     left = Or((*joined, self._binary(binding + 1)), position=position)
 
     def _unary(self) -> Formula:
-        """An operand with the ``!``, ``X`` and ``F`` in front of it."""
+        """Parse an operand with the ``!``, ``X`` and ``F`` in front of it."""
         token, position = self.tokens[self.next]
         self.next += bool(token)
         match token:
@@ -331,7 +333,7 @@ class _Parser:
 
 
 def _split_operators(word: str, allowed: Collection[str]) -> str:
-    """``F a`` for ``Fa``, ``a U b`` for ``aUb`` (operators glued to allowed names), or an empty string."""
+    """Return ``F a`` for ``Fa``, ``a U b`` for ``aUb`` (operators glued to allowed names), or an empty string."""
     if word in allowed:
         return word
     if word[:1] in ("X", "F") and (rest := _split_operators(word[1:], allowed)):

@@ -1,9 +1,9 @@
 """Formula progression: what remains of a co-safe formula after a letter (Bacchus and Kabanza, 2000).
 
-The rest is a positive Boolean function of *atoms*: propositions, negated propositions, ``X`` and ``U`` formulas. It
-is kept as a reduced ordered binary decision diagram (Bryant, 1986) over the atoms in order of appearance. Equal
-functions are one node, whose successors are computed once however many states contain it, and wide alternations such
-as ``((F a | F b) & (F c | F d) & ...) | F e``, which sets of clauses multiply out, stay small.
+The rest is a positive Boolean function of *atoms*: propositions, negated propositions, ``X`` and ``U`` formulas. It is
+kept as a reduced ordered binary decision diagram (Bryant, 1986) over the atoms in order of appearance. Equal functions
+are one node, whose successors are computed once however many states contain it. Wide alternations such as ``((F a | F
+b) & (F c | F d) & ...) | F e`` therefore stay small, whereas sets of clauses multiply them out.
 """
 
 from functools import reduce
@@ -18,17 +18,18 @@ FALSE: State = 0
 TRUE: State = 1
 
 MAX_ATOMS = 500
-"""Different ``X`` and ``U`` subformulas, each a level of a diagram's recursion: well inside Python's limit."""
+"""The largest number of different ``X`` and ``U`` subformulas. Each is a level of a diagram's recursion; this is well
+inside Python's limit."""
 MAX_NODES = 500_000
-"""Nodes of all states together; reaching them takes seconds."""
+"""The largest number of nodes of all states together; reaching it takes seconds."""
 
 
 class FormulaTooLargeError(InputError):
-    """The formula has more different parts, or its states are larger, than progression handles."""
+    """The formula has more different parts, or larger states, than progression handles."""
 
 
 class _Node(NamedTuple):
-    """``if atom then high else low``; both are older nodes (of smaller index) and of later atoms."""
+    """``if atom then high else low``. Both are older nodes (with a smaller index) and belong to later atoms."""
 
     atom: int
     high: State
@@ -65,7 +66,7 @@ class Progression:
                 return self._node(_Node(self._atom(formula), TRUE, FALSE))
 
     def after(self, state: State, letter: str | None) -> State:
-        """The state after one more letter: an interaction, or ``None`` for anything but the formula's objects.
+        """Return the state after one more letter: an interaction, or ``None`` for anything but the formula's objects.
 
         Raises:
             FormulaTooLargeError: There are more than ``MAX_NODES`` nodes.
@@ -112,7 +113,7 @@ class Progression:
         return reduce(lambda rest, one: self._choose(one, TRUE, rest), reversed(states), FALSE)
 
     def _choose(self, test: State, then: State, otherwise: State) -> State:
-        """``if test then ... else ...``, Bryant's ite."""
+        """Return ``if test then ... else ...``, Bryant's ite."""
         if test == TRUE or then == otherwise:
             return then
         if test == FALSE:
@@ -128,7 +129,7 @@ class Progression:
         return self._chosen[key]
 
     def _assume(self, state: State, atom: int, holds: bool) -> State:
-        """The state where ``atom``, at or before the state's first, holds or not."""
+        """Return the state if ``atom``, at or before the state's first, holds or does not."""
         node = self._nodes[state]
         if node.atom != atom:
             return state

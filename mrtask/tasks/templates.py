@@ -1,8 +1,8 @@
 """Task templates as co-safe formulas over distinct objects ``a`` to ``d``: the paper's six (Section V) and a few more.
 
 The authors' public code has nine formulas instead of the six: `AUTHORS_TEMPLATES`. One of them orders three objects
-without saying that c must not come before a; as b must not come before a nor c before b, it is `seq3` all the same.
-The four-object conjunction is also in a figure of the paper.
+without saying that c must not come before a. It is `seq3` nevertheless, because b must not come before a nor c before
+b. A figure of the paper also has the four-object conjunction.
 """
 
 from collections.abc import Sequence
@@ -49,10 +49,11 @@ AUTHORS_TEMPLATES = ("one", "and2", "or2", "seq2", "seq2_back", "and3", "seq3", 
 
 
 def make_formula(template: str, objects: Sequence[str]) -> str:
-    """The formula of the template of that name for these objects, in the order a, b, c, d.
+    """Return the formula of the template of that name for these objects, in the order a, b, c, d.
 
     Raises:
-        ValueError: An unknown template, the wrong number of objects, or a name that is repeated or unfit for formulas.
+        ValueError: The template is unknown, the number of objects is wrong, or a name is repeated or unfit for
+            formulas.
     """
     if template not in TEMPLATES:
         raise ValueError(f"unknown template {template!r}; allowed: {', '.join(TEMPLATES)}")

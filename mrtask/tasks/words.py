@@ -1,10 +1,10 @@
-"""Tasks in words: ``laptop or wallet, then remote, then tv`` and ``bring the mug to the sofa`` become formulas.
+"""Read tasks in words: ``laptop or wallet, then remote, then tv`` and ``bring the mug to the sofa`` become formulas.
 
-Words for objects are joined by ``and``, ``or`` and ``then``; a comma in front of one of these binds loosest, a comma in
-a list stands for the word at the list's end (``a, b and c``), and brackets say the rest. Every way to bracket the text
-is tried: where two of them are different tasks, the text is refused with the readings that it could have.
+``and``, ``or`` and ``then`` join words for objects. A comma in front of one of these binds loosest; a comma in a list
+stands for the word at the list's end (``a, b and c``); brackets settle the rest. The reader tries every way to bracket
+the text. If two ways give different tasks, it refuses the text and shows the readings that it could have.
 
-``a then b`` is the template ``seq2``: b is not to be done before a. A delivery is the interaction with the object and
+``a then b`` is the template ``seq2``: b must not be done before a. A delivery is the interaction with the object and
 later one with the place, which is a container's name; a formula cannot say that one robot does both.
 """
 
@@ -22,7 +22,7 @@ from mrtask.tasks.formula import RESERVED_WORDS, check_names
 
 MAX_CHARACTERS = 500
 MAX_LEAVES = 10
-"""Objects and deliveries in one text."""
+"""The largest number of objects and deliveries in one text."""
 READINGS_TRIED, READINGS_SHOWN = 64, 4
 NAMES_SHOWN = 20
 _OPERATORS: tuple["Operator", ...] = ("then", "or", "and")
@@ -47,7 +47,7 @@ Operator = Literal["and", "or", "then"]
 
 
 class WordsError(InputError):
-    """A text that is not one task in words; if it is several, ``readings`` holds some, with brackets written out."""
+    """A text that is not exactly one task. If it is several, ``readings`` holds some, with brackets written out."""
 
     def __init__(self, message: str, text: str, readings: Sequence[str] = ()) -> None:
         self.readings = tuple(readings)
@@ -57,7 +57,7 @@ class WordsError(InputError):
 
 @dataclass(frozen=True)
 class ReadTask:
-    """A task as a formula. ``places``: the containers among the propositions, to which something is delivered."""
+    """A task as a formula. ``places`` are the containers among the propositions, to which something is delivered."""
 
     formula: str
     propositions: tuple[str, ...]
@@ -80,7 +80,7 @@ class _Leaf:
 
 @dataclass(frozen=True)
 class _Joined:
-    """Two or more parts under one operator; no part has the same."""
+    """Two or more parts under one operator, which none of the parts has itself."""
 
     operator: Operator
     parts: tuple["_Tree", ...]
@@ -98,7 +98,7 @@ _Tree = _Leaf | _Joined
 
 @dataclass(frozen=True)
 class _Link:
-    """What stands between two items; ``operator`` is None for a comma alone; ``loose`` means that there is a comma."""
+    """What stands between two items. ``operator`` is None for a comma alone; ``loose`` means that it has a comma."""
 
     operator: Operator | None
     loose: bool
@@ -106,7 +106,7 @@ class _Link:
 
 @dataclass(frozen=True)
 class _Group:
-    """Items with the links between them: what stands within one pair of brackets."""
+    """Items with the links between them: the contents of one pair of brackets."""
 
     items: tuple["_Leaf | _Group", ...]
     links: tuple[_Link, ...]
@@ -115,7 +115,8 @@ class _Group:
 def read_task(text: str, objects: Collection[str] | None = None, places: Collection[str] | None = None) -> ReadTask:
     """Read a task from a formula or from words.
 
-    A text with a sign that only formulas have (``! & | ->``, ``F U X G true false``) is a formula, any other is words.
+    A text with a sign that only formulas have (``! & | ->``, ``F U X G true false``) is a formula; any other text is
+    words.
 
     Args:
         objects: the names that objects may have; words are matched with them (``remote control`` is ``RemoteControl``,
@@ -205,7 +206,7 @@ class _Parser:
         return _Leaf(name, self._name("a place", self.places))
 
     def _goes_on(self) -> bool:
-        """Whether a name can still follow the next word."""
+        """Return whether a name can still continue with the next word."""
         return self.tokens[self.next + 1].lower() not in ("", ",", "(", ")", *_OPERATORS, *_TO)
 
     def _name(self, what: str, allowed: Collection[str] | None) -> str:
@@ -244,7 +245,7 @@ class _Parser:
         raise WordsError(f"{wanted!r} is not {what} here{hint}; allowed: {listed}{more}", self.text)
 
     def _with_lists(self, links: list[_Link], items: Sequence["_Leaf | _Group"]) -> tuple[_Link, ...]:
-        """The links with what the commas of lists stand for: the ``and`` or ``or`` that ends the list."""
+        """Return the links, where each comma of a list stands for the ``and`` or ``or`` that ends the list."""
         result = list(links)
         for index in reversed(range(len(links))):
             if links[index].operator is not None:
@@ -259,7 +260,7 @@ class _Parser:
 
 
 def _only_meaning(text: str, group: _Group) -> _Tree:
-    """The reading of a text all of whose readings are the same task."""
+    """Return the reading of a text all of whose readings are the same task."""
     readings = list(islice(_readings(group.items, group.links), READINGS_TRIED))
     if len(readings) == 1:
         return readings[0]
@@ -279,7 +280,7 @@ def _only_meaning(text: str, group: _Group) -> _Tree:
 def _readings(
     items: Sequence["_Leaf | _Group"], links: Sequence[_Link], taken: Operator | None = None
 ) -> Iterator[_Tree]:
-    """Yield all ways to bracket the items except with ``taken`` on top, which the part above has already."""
+    """Yield all ways to bracket the items, except with ``taken`` on top, which the part above already has."""
     if not links:
         (item,) = items
         if isinstance(item, _Leaf):
@@ -300,7 +301,7 @@ def _readings(
 
 
 def _formula(tree: _Tree, later: tuple[str, ...]) -> str:
-    """The formula of a tree none of whose interactions may come after one with the objects ``later``."""
+    """Return the formula of a tree none of whose interactions may come after one with the objects ``later``."""
     if isinstance(tree, _Leaf):
         before = " & ".join(f"!{name}" for name in later)
         before = f"({before})" if len(later) > 1 else before

@@ -177,5 +177,5 @@ def test_what_no_bound_is_for_is_refused():
     with pytest.raises(ValueError, match="a robot is busy"):
         belief_of(busy)
     nothing_left = make_problem("F a", ("a",), [(0, 0)], [(1, 0)], [[0.0]], searched=[0])
-    with pytest.raises(ValueError, match="no container that is left can hold a"):
+    with pytest.raises(ValueError, match="no unsearched container can hold a"):
         draw_worlds(belief_of(nothing_left), 1, np.random.default_rng(0))

@@ -12,7 +12,7 @@ BODY = os.urandom(300_000)
 
 
 class Server(ThreadingHTTPServer):
-    """Serves `BODY`; ``cuts`` connections break after so many bytes, ``asked`` lists the Range headers."""
+    """Serves `BODY`; connections break after the bytes listed in ``cuts``; ``asked`` lists the Range headers."""
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), Handler)
@@ -72,7 +72,7 @@ def test_a_good_file_is_fetched_once_and_then_used_offline(server, tmp_path):
 
 def test_a_wrong_checksum_leaves_nothing(server, tmp_path):
     with pytest.raises(
-        DownloadError, match=r"has not the sha256 0000.*; it was thrown away: try again, or a copy from"
+        DownloadError, match=r"does not have the sha256 0000.*; it was deleted: try again, or a copy from"
     ):
         fetch(tmp_path, remote(server, sha256="0" * 64))
     assert list(tmp_path.iterdir()) == []
@@ -95,7 +95,7 @@ def test_a_cut_connection_is_taken_up_where_it_broke(server, tmp_path):
 
 def test_after_too_many_cuts_the_part_is_kept_for_the_next_run(server, tmp_path):
     server.cuts = [70_000] * download.TRIES
-    with pytest.raises(DownloadError, match="was cut; the same command goes on from there"):
+    with pytest.raises(DownloadError, match="was cut; the same command continues from there"):
         fetch(tmp_path, remote(server))
     assert [path.name for path in tmp_path.iterdir()] == ["homes.jsonl.gz.part"]
     assert fetch(tmp_path, remote(server)).read_bytes() == BODY

@@ -133,7 +133,7 @@ def test_a_type_that_is_not_in_the_table_is_matched_by_name_or_listed(home):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[containers", "is no table of receptacles"),
+        ("[containers", "is not a table of receptacles"),
         ("[container]\nBed = []", "no section 'container'; allowed: containers, rooms"),
         ("[containers]\nBed = 'bed'", "containers.Bed must be a list of names, got 'bed'"),
     ],

@@ -24,7 +24,7 @@ def test_a_home_keeps_its_part_when_the_last_ranks_leave():
 
 
 def test_too_few_homes():
-    with pytest.raises(ValueError, match=r"70 homes are asked for \(train=50, validation=20, test=the rest\)"):
+    with pytest.raises(ValueError, match=r"70 homes are requested \(train=50, validation=20, test=the rest\)"):
         split_homes([*IDS[:60], *IDS[:40]], 50, 20)
     with pytest.raises(ValueError, match="cannot be negative"):
         split_homes(IDS, -1, 20)

@@ -60,7 +60,7 @@ def test_no_class_but_numpys_arrays_is_unpickled(tmp_path):
         ({"ranks": np.zeros((17, 6))}, r"ranks must be whole numbers of three dimensions"),
         ({"ranks": np.zeros((17, 6, 0), dtype=int)}, r"ranks must be .* none empty"),
         ({"room_receptacles": ["kitchen"] * 17}, r"must be named room\|receptacle, got 'kitchen'"),
-        ({"objects": ["mug", " ", "pillow", "brush", "toy", "key"]}, r"' ' is no object name; letters"),
+        ({"objects": ["mug", " ", "pillow", "brush", "toy", "key"]}, r"' ' is not an object name; letters"),
         ({"objects": ["mug", "Mug", "pillow", "brush", "toy", "key"]}, r"two objects are called 'mug'"),
         ({"objects": [], "ranks": np.zeros((17, 0, 4), dtype=int)}, r"ranks must be .* none empty"),
     ],
@@ -82,7 +82,7 @@ def test_an_object_without_a_right_place_is_refused(tmp_path):
     [
         (lambda path: path.unlink(), "no such file of votes"),
         (lambda path: path.write_bytes(path.read_bytes()[:1000]), "is not read: pickle data was truncated"),
-        (lambda path: path.write_text("room,receptacle"), "is damaged or no file of votes"),
+        (lambda path: path.write_text("room,receptacle"), "is damaged or not a file of votes"),
         (lambda path: np.save(path, np.zeros(3)), "an array of float64 instead of one pickled dict"),
         (lambda path: write(path, ["mug"]), "expected a dict with ranks, .*, found <class 'list'"),
         (lambda path: write(path, {"ranks": 1}), "has no 'objects'; it must hold"),
@@ -116,7 +116,7 @@ def test_splits(tmp_path):
 @pytest.mark.parametrize(
     ("splits", "message"),
     [
-        ({"train": ["mug"], "val": []}, r"is no file of splits \('test'\)"),
+        ({"train": ["mug"], "val": []}, r"is not a file of splits \('test'\)"),
         ({"train": ["mug"], "val": ["Mug"], "test": []}, "the object 'Mug' is listed twice"),
     ],
 )

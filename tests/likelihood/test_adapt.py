@@ -144,8 +144,8 @@ def test_sightings_of_an_episode(two_room_home):
 @pytest.mark.parametrize(
     ("sightings", "message"),
     [
-        ([Sighting(0, 0, "Cup", True)], "is of no object among Mug, Book"),
-        ([Sighting(3, 0, "Mug", True)], "of no task before 3"),
+        ([Sighting(0, 0, "Cup", True)], "is about none of the objects Mug, Book"),
+        ([Sighting(3, 0, "Mug", True)], "about no task before 3"),
         ([Sighting(0, 0, "Mug", True), Sighting(0, 0, "Mug", False)], "contradicts another of the same task"),
     ],
 )

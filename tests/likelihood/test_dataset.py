@@ -115,7 +115,7 @@ def test_truncated_rows_and_manifest_are_refused(made_up_dataset, tmp_path):
         read_dataset(tmp_path)
     manifest = (tmp_path / "manifest.json").read_text()
     (tmp_path / "manifest.json").write_text(manifest[:100])
-    with pytest.raises(DatasetError, match="is no dataset manifest"):
+    with pytest.raises(DatasetError, match="is not a dataset manifest"):
         read_manifest(tmp_path)
     (tmp_path / "manifest.json").write_text(json.dumps(json.loads(manifest) | {"format_version": 99}))
     with pytest.raises(DatasetError, match="format version 99, this code reads 1: rebuild it"):

@@ -15,7 +15,7 @@ PLACES = (("kitchen", "table"), ("kitchen", "fridge"), ("kitchen", "sink"), ("ha
 
 
 def votes(right, objects=("Cup", "Egg")):
-    """Of ten people so many call each place right: ``right [K, O]``."""
+    """Return votes in which ``right [K, O]`` of ten people call each place right."""
     ranks = np.zeros((*np.shape(right), 10), dtype=np.int16)
     for place, row in enumerate(right):
         for index, count in enumerate(row):

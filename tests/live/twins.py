@@ -1,6 +1,6 @@
 """A live team and a simulated episode on the same events.
 
-By hand, of every planner on so many trials: ``python -m tests.live.twins 100``.
+To compare them by hand for every planner on 100 trials, run ``python -m tests.live.twins 100``.
 """
 
 from dataclasses import replace

@@ -336,6 +336,8 @@ def test_unlisted_contents_are_drawn_for_each_world(tmp_path):
 
 def test_contents_of_an_unknown_type_cannot_be_drawn(tmp_path):
     paths = write(tmp_path, containers=CONTAINERS.replace(", objects: [Egg, Apple, Egg]", ""))
-    message = r"containers\.yaml, line 6: containers\[2\]\.type: what a Rack holds is not known; choose one of Arm"
+    message = (
+        r"containers\.yaml, line 6: containers\[2\]\.type: the contents of a Rack are not known; choose one of Arm"
+    )
     with pytest.raises(MapError, match=message):
         read_map_worlds(*paths, worlds=2, seed=0)

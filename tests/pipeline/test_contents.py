@@ -152,7 +152,7 @@ def test_other_files_than_the_published_are_refused(
     with pytest.raises(VotesError, match=r"splits.yaml: its names have the sha256 .*, expected .*: these are other"):
         voted_contents(DEFAULT.model_copy(update={"objects": "test"}), tmp_path / "datasets")
     monkeypatch.setattr(module, "HOUSEKEEP", {VOTES_FILE: RemoteFile(HOUSEKEEP[VOTES_FILE].url, 1, "0" * 64)})
-    with pytest.raises(UserError, match=r"data.npy: what http.* sent has not the sha256 0000"):
+    with pytest.raises(UserError, match=r"data.npy: the file from http.* does not have the sha256 0000"):
         voted_contents(DEFAULT, tmp_path / "again")
     served.shutdown()
     served.server_close()
@@ -179,7 +179,7 @@ def test_models_are_measured_on_objects_that_they_never_saw(cli: Cli, tmp_path: 
         ((), "has the sha256"),
         (("contents.sha256=null", "contents.objects=validation"), "contents.objects=validation: allowed: 'all', "),
         (("contents.sha256=null", "contents.misplaced=2"), "contents.misplaced=2: must be at most 1"),
-        (("contents.sha256=null", "contents.table=gone.toml"), "gone.toml is no table of receptacles"),
+        (("contents.sha256=null", "contents.table=gone.toml"), "gone.toml is not a table of receptacles"),
         (("contents.sha256=null", "contents.objects=val", "contents.splits=gone.yaml"), "no such file of splits"),
         (
             ("contents.sha256=null", "contents.objects=val", "contents.splits=none.yaml"),

@@ -289,7 +289,7 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     assert cli("homes", *HOUSES, "homes.files=[good.jsonl.gz]").code == 0
     few = cli("homes", *HOUSES, "homes.files=[good.jsonl.gz]", "homes.train=5")
     assert few.code == 2
-    assert "7 homes are asked for" in few.err and "homes.train" in few.err
+    assert "7 homes are requested" in few.err and "homes.train" in few.err
 
 
 def test_faulty_homes_are_left_out_and_counted_where_that_is_asked_for(cli: Cli, tmp_path: Path) -> None:

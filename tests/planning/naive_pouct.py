@@ -154,7 +154,7 @@ class NaivePouct(ExactSolver):
         return robot, WAIT if action is None else action
 
     def best(self, state, r, fetching, ahead, tried, allowed):
-        """(action, score) of the least score among the actions not tried; (None, inf) if there is none."""
+        """(action, score) of the least score among the actions not tried, or (None, inf) if all were tried."""
         scored = []
         for early in (ahead,) if ahead else (False, True):
             for c in range(len(state.held)):

@@ -1,1 +1,1 @@
-"""What a run's episodes say: the checked table, its statistics, and the published figures beside them."""
+"""The results of a run's episodes: the checked table, its statistics, and the published figures beside them."""

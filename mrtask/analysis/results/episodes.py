@@ -1,6 +1,6 @@
-"""The table of episodes for the analysis: checked, typed, and split by variant where a sweep made several.
+"""The table of episodes for the analysis: checked, typed, and split by variant if a sweep made several.
 
-One row is one planner's run of one trial; planners are compared on the trials (``trial_id``) they share.
+One row is one planner's run of one trial. Planners are compared on the trials (``trial_id``) that they share.
 """
 
 import re
@@ -16,14 +16,14 @@ STATUSES = ("accepted", "failed", "error", "timeout")
 """``failed``: the task could not be done; ``error``: an exception; ``timeout``: the episode took too long."""
 
 OVERRIDES_IN_COLUMNS = ("evaluation.robots", "evaluation.size_classes", "evaluation.planners")
-"""Sweeps over these make no variants, since each row has its team size, size class and planner in columns."""
+"""Sweeps over these make no variants, because each row has its team size, size class and planner in columns."""
 
 Variant = str
 """The overrides of a sweep's cell (``planner.pouct.samples=100``); empty without a sweep."""
 
 
 def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
-    """A checked copy, in the order of its keys, with float costs (NaN unless accepted) and a ``variant`` column.
+    """Return a checked copy in key order, with float costs (NaN unless accepted) and a ``variant`` column.
 
     Raises:
         ValueError: a column is missing, a status or team size is unknown, an accepted row has no cost, or a planner's
@@ -70,18 +70,18 @@ def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def variants_in_order(episodes: pd.DataFrame) -> list[Variant]:
-    """The variants of a checked table, with numbers in them sorted as numbers."""
+    """Return the variants of a checked table, with numbers in them sorted as numbers."""
     return sorted(set(episodes["variant"]), key=natural_key)
 
 
 def size_classes_in_order(names: Iterable[str]) -> list[str]:
-    """Small to large, then any others by name."""
+    """Return the size classes from small to large, then any others by name."""
     present = set(names)
     return [name for name in SIZE_CLASSES if name in present] + sorted(present - set(SIZE_CLASSES))
 
 
 def natural_key(text: str) -> list[tuple[int, float, str]]:
-    """A sort key under which ``samples=200`` comes before ``samples=1000``."""
+    """Return a sort key under which ``samples=200`` comes before ``samples=1000``."""
     parts = re.split(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)", text)
     return [(1, float(part), "") if index % 2 else (0, 0.0, part) for index, part in enumerate(parts)]
 

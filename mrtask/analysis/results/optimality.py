@@ -31,19 +31,19 @@ class CellOptimality:
     bound_s: Estimate
     clairvoyant_s: Estimate
     gap_percent: Estimate
-    """By how much the mean cost exceeds the mean bound: the planner is at most this far from optimal."""
+    """By how much the mean cost exceeds the mean bound: the planner is at most this far from the optimum."""
     median_gap_percent: Estimate
-    """The median over trials of the same."""
+    """The median of the same figure over trials."""
     exact_share: float
     """The share of trials whose bound is the optimum itself."""
     bound_seconds: float
-    """Mean CPU time to compute a trial's bound."""
+    """The mean CPU time of a trial's bound."""
     failed: int
     """Unfinished episodes, which enter neither the cost nor the bound."""
 
 
 def summarise_optimality(rows: pd.DataFrame) -> list[CellOptimality]:
-    """All cells of the rows that `assess` made, by size class and team size."""
+    """Return all cells of the rows that `assess` made, by size class and team size."""
     classes = size_classes_in_order(rows["size_class"].unique())
     groups = rows.groupby(["size_class", "robots", "planner"])
     found = [_summarise_cell((str(key[0]), int(str(key[1]))), str(key[2]), trials) for key, trials in groups]
@@ -67,7 +67,7 @@ def _summarise_cell(cell: Cell, planner: str, rows: pd.DataFrame) -> CellOptimal
 
 
 def _median(values: Floats) -> Estimate:
-    """The median of [N] trials with its percentile interval."""
+    """Return the median of [N] trials with its percentile interval."""
     n = len(values)
     if n == 0:
         return UNDEFINED

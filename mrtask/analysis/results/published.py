@@ -23,7 +23,7 @@ class RealWorldTrial:
     name: str
     containers: tuple[str, ...]
     objects: Mapping[str, str]
-    """Object -> the container that holds it."""
+    """The container that holds each object."""
     task: str
     formula: str
     myopic_m: float
@@ -35,7 +35,7 @@ class Published:
     """The paper's figures: costs in grid cells of 0.05 m, improvements in percent."""
 
     authors: tuple[str, ...]
-    """``Family, Given`` of each."""
+    """``Family, Given`` of each author."""
     title: str
     booktitle: str
     year: int
@@ -43,25 +43,25 @@ class Published:
     citation: str
     url: str
     cost_cells: Mapping[tuple[str, Cell], float]
-    """``(planner, cell)`` -> mean cost; planners by our names."""
+    """The mean cost by ``(planner, cell)``; planners have our names."""
     improvement_percent: Mapping[tuple[str, Cell], float]
-    """``(baseline, cell)`` -> the paper's planner's improvement over it."""
+    """The improvement of the paper's planner by ``(baseline, cell)``."""
     real_world: tuple[RealWorldTrial, ...]
 
     @property
     def planners(self) -> tuple[str, ...]:
-        """The planners of the paper's table, by our names, in its order."""
+        """Return the planners of the paper's table, by our names, in its order."""
         return tuple(dict.fromkeys(planner for planner, _ in self.cost_cells))
 
     def cost_of(self, planner: str, cell: Cell) -> float | None:
-        """The published mean cost of the `published_counterpart` of one of our planners."""
+        """Return the published mean cost of the `published_counterpart` of one of our planners."""
         counterpart = published_counterpart(planner)
         return None if counterpart is None else self.cost_cells.get((counterpart, cell))
 
     def improvement_of(self, planner: str, baseline: str, cell: Cell) -> float | None:
-        """The published improvement to set beside ours of ``planner`` over ``baseline``, in percent.
+        """Return the published improvement to compare with ours of ``planner`` over ``baseline``, in percent.
 
-        As printed for the paper's planner; between its baselines, what the printed means give.
+        For the paper's planner, it is the printed figure; between the paper's baselines, the printed means give it.
         """
         if published_counterpart(planner) == PAPERS_PLANNER:
             return self.improvement_percent.get((baseline, cell))

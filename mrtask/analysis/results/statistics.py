@@ -1,8 +1,8 @@
-"""Statistics of the episodes with their uncertainty: mean costs, paired improvements, the share of a gap closed.
+"""Statistics of the episodes with their uncertainty: mean costs, paired improvements, shares of a gap closed.
 
 Planners ran the same trials, so everything is resampled trial by trial, all planners together (paired bootstrap; Efron
 and Tibshirani, *An Introduction to the Bootstrap*, ch. 14: bias-corrected and accelerated intervals). Every statistic
-here is a function of the planners' mean costs; this makes the resampling a matrix product and the acceleration's
+here is a function of the planners' mean costs. This makes the resampling a matrix product and the acceleration's
 jackknife a closed form, so that 100,000 episodes take seconds.
 """
 
@@ -24,31 +24,31 @@ from mrtask.planning.planners import planners_in_order
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 SEED = 20603
-"""Seed of the resampling. Every estimate starts from it, so none depends on which others are computed."""
+"""The seed of the resampling. Every estimate starts from it, so none depends on which others are computed."""
 MIN_TRIALS_FOR_INTERVAL = 10
-"""Fewer trials say too little about their spread: the interval would be far too narrow."""
+"""Fewer trials say too little about their spread; the interval would be far too narrow."""
 MAX_BATCH_CELLS = 4_000_000
 MAX_EXACT_TRIALS = 13
-"""Up to this many trials the test enumerates the signs of all differences; beyond that it is SciPy's."""
+"""Up to this many trials, the test enumerates the signs of all differences; beyond that, it is SciPy's."""
 SAME_COST_S = 1e-6
 SAME_VALUE = 1e-10
-"""Relative and absolute tolerance: resamples of the same trials in another order differ by rounding."""
+"""The relative and absolute tolerance: resamples of the same trials in another order differ by rounding."""
 
 IN_CELLS = "in grid cells: "
-"""Before a planner's name: its costs in grid cells, beside those in seconds."""
+"""The prefix of a planner's name for its costs in grid cells, which stand beside those in seconds."""
 
 Cell = tuple[str, int]
 """``(size class, robots)``"""
 ALL_CLASSES, ALL_TEAMS = "all", 0
-"""Stand in for a size class and a team size where results are pooled over them."""
+"""These stand in for a size class and a team size if results are pooled over them."""
 EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value from ``n`` trials with its 95 % interval; NaN where it is not defined.
+    """A value from ``n`` trials with its 95 % interval, or NaN if it is not defined.
 
-    There is no interval below `MIN_TRIALS_FOR_INTERVAL` trials.
+    Below `MIN_TRIALS_FOR_INTERVAL` trials, it has no interval.
     """
 
     value: float
@@ -58,17 +58,17 @@ class Estimate:
 
     @property
     def defined(self) -> bool:
-        """Whether there is a value."""
+        """Return whether the estimate has a value."""
         return bool(np.isfinite(self.value))
 
     @property
     def has_interval(self) -> bool:
-        """Whether there is an interval too."""
+        """Return whether the estimate has an interval too."""
         return bool(np.isfinite(self.low))
 
 
 UNDEFINED = Estimate(np.nan, np.nan, np.nan, 0)
-"""The estimate from no trials."""
+"""The estimate from zero trials."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ class Comparison:
     ties: int
     losses: int
     p_value: float
-    """From Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
+    """The p-value of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
     only_planner: int
     only_baseline: int
-    """Trials that one of the two finished and the other did not: outside the comparison."""
+    """The number of trials that only this one of the two finished; they are outside the comparison."""
 
 
 @dataclass(frozen=True)
@@ -92,63 +92,63 @@ class PlannerCell:
     """One planner in one cell."""
 
     counts: dict[str, int]
-    """Status -> episodes."""
+    """The number of episodes by status."""
     cost_cells: Estimate
     cost_s: float
     decision_s: float
-    """Mean planning time per decision; NaN where it was not recorded."""
+    """The mean planning time per decision; NaN if it was not recorded."""
 
     @property
     def episodes(self) -> int:
-        """Rows, whatever their status."""
+        """Return the number of rows, whatever their status."""
         return sum(self.counts.values())
 
     @property
     def accepted(self) -> int:
-        """The rows that enter the means."""
+        """Return the number of rows that enter the means."""
         return self.counts["accepted"]
 
 
 @dataclass(frozen=True)
 class Summary:
-    """All that tables and figures show of one variant. Cells with `ALL_TEAMS` robots are pooled over team sizes."""
+    """Everything that tables and figures show of one variant. Cells with `ALL_TEAMS` robots pool all team sizes."""
 
     planners: tuple[str, ...]
     size_classes: tuple[str, ...]
     robots: tuple[int, ...]
     planner_cells: dict[tuple[Cell, str], PlannerCell]
     comparisons: dict[tuple[Cell, str, str], Comparison]
-    """``(cell, planner, baseline)``."""
+    """The comparisons by ``(cell, planner, baseline)``."""
     gaps: dict[tuple[Cell, str], Estimate]
-    """The share of the way from `learned_myopic`'s mean to `known`'s that a planner goes, in percent."""
+    """The share of the way from `learned_myopic`'s mean to `known`'s that a planner covers, in percent."""
 
     @property
     def cells(self) -> list[Cell]:
-        """The cells of one size class and one team size that have episodes, in the table's order."""
+        """Return the cells of one size class and one team size that have episodes, in the table's order."""
         present = {cell for cell, _ in self.planner_cells}
         return [(c, r) for c in self.size_classes for r in self.robots if (c, r) in present]
 
     def compared(self, planner: str, baseline: str) -> bool:
-        """Whether there is a cell in which both ran."""
+        """Return whether both planners ran in some cell."""
         return any(key[1:] == (planner, baseline) for key in self.comparisons)
 
     def cost(self, cell: Cell, planner: str) -> Estimate:
-        """The mean cost in grid cells; `UNDEFINED` where the planner did not run."""
+        """Return the mean cost in grid cells, or `UNDEFINED` if the planner did not run."""
         found = self.planner_cells.get((cell, planner))
         return found.cost_cells if found else UNDEFINED
 
     def improvement(self, cell: Cell, planner: str, baseline: str) -> Estimate:
-        """The improvement over the baseline in percent; `UNDEFINED` where the two are not compared."""
+        """Return the improvement over the baseline in percent, or `UNDEFINED` if the two are not compared."""
         found = self.comparisons.get((cell, planner, baseline))
         return found.improvement if found else UNDEFINED
 
     def gap(self, cell: Cell, planner: str) -> Estimate:
-        """The share of the gap that the planner closes in percent; `UNDEFINED` where there is no gap."""
+        """Return the share of the gap that the planner closes, in percent, or `UNDEFINED` without a gap."""
         return self.gaps.get((cell, planner), UNDEFINED)
 
 
 def cell_name(cell: Cell) -> str:
-    """``medium, 2 robots``; of a size class over all teams, the class alone."""
+    """Return a name such as ``medium, 2 robots``, or the size class alone if the cell pools all teams."""
     size_class, robots = cell
     return size_class if robots == ALL_TEAMS else f"{size_class}, {counted(robots, 'robot')}"
 
@@ -156,7 +156,7 @@ def cell_name(cell: Cell) -> str:
 class Bootstrap:
     """Paired resamples of ``costs`` [N, P]: N trials, P planners, all finite.
 
-    One draw serves every statistic of the same trials.
+    The same draw serves every statistic of the same trials.
     """
 
     def __init__(self, costs: Floats, resamples: int = RESAMPLES, seed: int = SEED) -> None:
@@ -164,7 +164,7 @@ class Bootstrap:
 
     @cached_property
     def _resampled_means(self) -> Floats:
-        """[B, P]"""
+        """Return the mean costs [B, P] of the resamples."""
         n, rng = len(self.costs), np.random.default_rng(self.seed)
         means = np.empty((self.resamples, self.costs.shape[1]))
         batch = max(1, MAX_BATCH_CELLS // n)
@@ -176,12 +176,12 @@ class Bootstrap:
         return means
 
     def resampled(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Floats:
-        """[B] the statistic of each resample; ``columns`` as in `estimate`."""
+        """Return the statistic [B] of each resample; ``columns`` is as in `estimate`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return statistic(self._resampled_means[:, list(columns)])
 
     def estimate(self, statistic: Callable[[Floats], Floats], columns: Sequence[int] | None = None) -> Estimate:
-        """The statistic with its BCa interval.
+        """Return the statistic with its BCa interval.
 
         Args:
             statistic: a function from means [..., K] to values [...].
@@ -208,9 +208,9 @@ class Bootstrap:
 
 
 class PairedCosts:
-    """Costs of trials (rows) by planner (columns), NaN where a trial was not finished.
+    """The costs of trials (rows) by planner (columns), NaN if a trial was not finished.
 
-    Each estimate is over the trials that all of its planners finished.
+    Each estimate uses the trials that all of its planners finished.
     """
 
     def __init__(self, costs: pd.DataFrame, seed: int = SEED) -> None:
@@ -218,7 +218,7 @@ class PairedCosts:
         self._draws: dict[bytes, Bootstrap] = {}
 
     def estimate(self, statistic: Callable[[Floats], Floats], planners: Sequence[object]) -> Estimate:
-        """A statistic of these planners' means; one draw of trials serves all statistics that share them."""
+        """Return a statistic of these planners' means. One draw of trials serves all statistics that share them."""
         columns: list[object] = list(self.costs.columns)
         places = [columns.index(name) for name in planners]
         costs = self.costs.to_numpy(dtype=np.float64)
@@ -228,20 +228,20 @@ class PairedCosts:
         return self._draws[key].estimate(statistic, places)
 
     def mean(self, planner: object) -> Estimate:
-        """The mean cost."""
+        """Return the mean cost."""
         return self.estimate(lambda means: means[..., 0], [planner])
 
     def improvement(self, planner: object, baseline: object) -> Estimate:
-        """What ``planner`` saves of the baseline's mean cost, in percent."""
+        """Return what ``planner`` saves of the baseline's mean cost, in percent."""
         return self.estimate(improvement_of_means, [planner, baseline])
 
     def above(self, planner: object, reference: object) -> Estimate:
-        """By how much a mean cost is above the reference's, in percent."""
+        """Return by how much a mean cost exceeds the reference's, in percent."""
         return self.estimate(lambda means: np.asarray(100 * (means[..., 0] / means[..., 1] - 1)), [planner, reference])
 
 
 def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
-    """The quantiles of the resamples that bound the interval; the plain ones where BCa's are undefined."""
+    """Return the quantiles of the resamples that bound the interval, or the plain ones if BCa's are undefined."""
     plain = np.array([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     tied = np.isclose(resampled, value, rtol=SAME_VALUE, atol=SAME_VALUE)
     bias = ndtri(np.mean((resampled < value) & ~tied) + np.mean(tied) / 2)
@@ -255,26 +255,32 @@ def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
 
 
 def improvement_percent(cost: Floats, baseline: Floats) -> Estimate:
-    """``1 - mean(cost) / mean(baseline)`` of paired costs [N], in percent; undefined where the baseline's mean is 0."""
+    """Return ``1 - mean(cost) / mean(baseline)`` of paired costs [N], in percent.
+
+    It is undefined if the baseline's mean is 0.
+    """
     return Bootstrap(np.column_stack([cost, baseline])).estimate(improvement_of_means)
 
 
 def improvement_of_means(means: Floats) -> Floats:
-    """The improvement in percent from means [..., 2] of planner and baseline."""
+    """Return the improvement in percent from means [..., 2] of planner and baseline."""
     return np.asarray(100 * (1 - means[..., 0] / means[..., 1]))
 
 
 def _gap_closed(means: Floats) -> Floats:
-    """Means of planner, informed baseline, known; NaN where knowing everything saves nothing."""
+    """Return the share of the gap from means of planner, informed baseline and known.
+
+    It is NaN if knowing everything saves nothing.
+    """
     gap = means[..., 1] - means[..., 2]
     return np.asarray(np.where(gap > 0, 100 * (means[..., 1] - means[..., 0]) / gap, np.nan))
 
 
 def compare(cost: Floats, baseline: Floats, improvement: Estimate | None = None) -> Comparison:
-    """Compares paired costs [N]; NaN marks a trial that was not finished.
+    """Compare paired costs [N]; NaN marks a trial that was not finished.
 
     Args:
-        improvement: the estimate on the trials that both finished, where the caller has it already.
+        improvement: the estimate on the trials that both finished, if the caller has it already.
     """
     done, base_done = np.isfinite(cost), np.isfinite(baseline)
     both = done & base_done
@@ -302,7 +308,7 @@ def _wilcoxon(saved: Floats) -> float:
 
 
 def _exact_wilcoxon(saved: Floats) -> float:
-    """Goes through all signs that the differences could have had, as SciPy does, but a thousand times faster."""
+    """Try all signs that the differences could have had, as SciPy does, but a thousand times faster."""
     ranks = stats.rankdata(np.abs(saved))[saved != 0]
     signs = (np.arange(2 ** len(ranks))[:, None] >> np.arange(len(ranks))) & 1
     sums, found = signs @ ranks, ranks[saved[saved != 0] > 0].sum()
@@ -310,7 +316,7 @@ def _exact_wilcoxon(saved: Floats) -> float:
 
 
 def summarise(episodes: pd.DataFrame) -> Summary:
-    """All statistics of one variant's checked episodes: by cell, by size class over all teams, and over everything."""
+    """Return all statistics of one variant's checked episodes: by cell, by size class over all teams, and over all."""
     classes = size_classes_in_order(episodes["size_class"].unique())
     teams = sorted(map(int, episodes["robots"].unique()))
     parts: dict[Cell, pd.DataFrame] = {}
@@ -324,7 +330,7 @@ def summarise(episodes: pd.DataFrame) -> Summary:
 def summarise_parts(
     episodes: pd.DataFrame, classes: Sequence[str], teams: Sequence[int], parts: Mapping[Cell, pd.DataFrame]
 ) -> Summary:
-    """The statistics of each of ``parts`` of the episodes by itself."""
+    """Return the statistics of each of ``parts`` of the episodes by itself."""
     summary = Summary(planners_in_order(episodes["planner"].unique()), tuple(classes), tuple(teams), {}, {}, {})
     for cell, rows in parts.items():
         _summarise_cell(summary, cell, rows)
@@ -332,12 +338,12 @@ def summarise_parts(
 
 
 def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame:
-    """Trials x planners; NaN where a planner did not finish the trial or never ran it."""
+    """Return trials x planners, with NaN if a planner did not finish the trial or never ran it."""
     return episodes.pivot(index="trial_id", columns="planner", values=column)
 
 
 def decision_s(rows: pd.DataFrame) -> dict[str, float]:
-    """Planner -> its mean planning time per decision, of those for which it was recorded."""
+    """Return each planner's mean planning time per decision, for planners for which it was recorded."""
     if not {"planning_s", "decisions"} <= set(rows.columns):
         return {}
     known = rows[["planner", "planning_s", "decisions"]].dropna().groupby("planner").sum()

@@ -1,6 +1,6 @@
-"""The page of an ablation: which switch of the protocol moves the improvements, and which step leads to `pouct`.
+"""The page of an ablation: which protocol switch moves the improvements, and which step leads to `pouct`.
 
-An *arm* is one protocol: its rows are those of the compared planners on that protocol's trials, under the planners' own
+An *arm* is one protocol. Its rows are those of the compared planners on that protocol's trials, under the planners' own
 names. Arms with the same trials share the rows of planners that do not differ.
 """
 
@@ -46,9 +46,9 @@ from mrtask.names import counted
 from mrtask.planning.planners import PAPERS_PLANNER
 
 COMPARED = (*BASELINES, PAPERS_PLANNER, OUR_PLANNER)
-"""The planners that every arm has."""
+"""The planners that every arm contains."""
 WAITS = "waits"
-"""Column with the share of the episode that each robot waits, least first."""
+"""The column with the share of the episode for which each robot waits, in ascending order."""
 VERDICTS_NOTE = (
     f"{ABOVE} the whole paired 95 % interval is above the published improvement, {LEVEL} the published one lies inside "
     f'it, {BELOW} the interval is below. The first column counts the nine cells. "paper + x" adds one switch to the '
@@ -76,29 +76,32 @@ class ArmRows:
     episodes: pd.DataFrame
     overrides: tuple[str, ...]
     in_detail: bool
-    """Whether the arm also appears in the tables by template and of waiting: end points and steps."""
+    """Whether the arm, an end point or a step, also appears in the tables by template and of waiting."""
     is_step: bool = False
     against: str | None = None
     """The arm that differs from this one by one switch."""
 
     @cached_property
     def rows(self) -> pd.DataFrame:
-        """The checked episodes."""
+        """Return the checked episodes."""
         return checked_episodes(self.episodes)
 
     @cached_property
     def summary(self) -> Summary:
-        """Their statistics."""
+        """Return the statistics of the episodes."""
         return summarise(self.rows)
 
     @cached_property
     def costs(self) -> pd.DataFrame:
-        """Each trial's size class and robots, and each planner's cost in seconds; NaN where it did not finish."""
+        """Return each trial's size class and robots, and each planner's cost in seconds.
+
+        A cost is NaN if the planner did not finish.
+        """
         trials = self.rows.groupby("trial_id")[["size_class", "robots"]].first()
         return trials.join(paired_costs(self.rows).reindex(columns=list(COMPARED)))
 
     def cost(self, planner: str, cell: Cell = EVERYTHING) -> pd.Series:
-        """A planner's costs in seconds by trial, of one cell or of all."""
+        """Return a planner's costs in seconds by trial, in one cell or in all."""
         costs = self.costs
         if cell != EVERYTHING:
             costs = costs[(costs["size_class"] == cell[0]) & (costs["robots"] == cell[1])]
@@ -106,7 +109,10 @@ class ArmRows:
 
 
 def waiting_shares(trace: str) -> list[float]:
-    """The share of the episode's time that each robot waits, least first, from a trace's JSON; 0 if it took no time."""
+    """Return the share of the episode's time for which each robot waits, in ascending order, from a trace's JSON.
+
+    It is 0 if the episode took no time.
+    """
     robots = json.loads(trace)["robots"]
     makespan_s = max((leg["t1_s"] for legs in robots for leg in legs), default=0.0)
     if makespan_s == 0.0:
@@ -116,10 +122,10 @@ def waiting_shares(trace: str) -> list[float]:
 
 
 def render_ablation(arms: Sequence[ArmRows], experiment: str) -> str:
-    """The page.
+    """Return the page.
 
     Args:
-        arms: the first is the protocol as configured.
+        arms: the first arm is the protocol as configured.
 
     Raises:
         ValueError: the episodes are not what `checked_episodes` demands.
@@ -151,7 +157,7 @@ def _section(anchor: str, title: str, table: Table | None, note: str = "", corne
 
 
 def findings(arms: Sequence[ArmRows], published: Published) -> Findings:
-    """Which published improvements lie inside our interval, under which protocols."""
+    """Say which published improvements lie inside our interval, and under which protocols."""
     sentences = []
     for (baseline, cell), value in sorted(published.improvement_percent.items()):
         estimates = {arm.name: arm.summary.improvement(cell, PAPERS_PLANNER, baseline) for arm in arms}
@@ -174,7 +180,10 @@ def findings(arms: Sequence[ArmRows], published: Published) -> Findings:
 
 
 def verdict_table(arms: Sequence[ArmRows], published: Published, planner: str) -> Table | None:
-    """A planner's improvement over each baseline by arm and cell, beside the published one, and how many agree."""
+    """Tabulate a planner's improvement over each baseline by arm and cell, beside the published one.
+
+    The table also counts how many agree.
+    """
     cells = list(dict.fromkeys(cell for arm in arms for cell in arm.summary.cells))
 
     def entries(arm: ArmRows, baseline: str) -> Iterable[Entry]:
@@ -193,7 +202,7 @@ def _rows_over(
     arms: Sequence[ArmRows],
     entries: Callable[[ArmRows, str], Iterable[Entry]],
 ) -> tuple[Row, ...]:
-    """For each of the planners a heading that names it, and a row for each arm."""
+    """Return, for each planner, a heading that names it and a row for each arm."""
     return tuple(
         row
         for planner in planners
@@ -204,7 +213,7 @@ def _rows_over(
 
 
 def _unlike(arms: Sequence[ArmRows], planner: str) -> list[ArmRows]:
-    """The arms without those whose costs of the planner and the baselines equal those of an earlier arm."""
+    """Return the arms without those whose costs of the planner and the baselines equal an earlier arm's."""
     compared = [planner, *BASELINES]
     kept: list[ArmRows] = []
     for arm in arms:
@@ -214,7 +223,7 @@ def _unlike(arms: Sequence[ArmRows], planner: str) -> list[ArmRows]:
 
 
 def switch_table(arms: Sequence[ArmRows]) -> Table | None:
-    """By how many points each switch moves the paper's planner's improvement over each baseline, by cell."""
+    """Tabulate by how many points each switch moves the paper's planner's improvement over each baseline, by cell."""
     by_name = {arm.name: arm for arm in arms}
     switches = [arm for arm in arms if arm.against]
     cells = [*arms[0].summary.cells, EVERYTHING]
@@ -222,7 +231,7 @@ def switch_table(arms: Sequence[ArmRows]) -> Table | None:
     def moved(arm: ArmRows, baseline: str) -> Iterable[Entry]:
         pair = (arm, by_name[str(arm.against)])
         for cell in cells:
-            # Paired by the trials' numbers, which arms share even where their trials differ.
+            # Pair by the trials' numbers, which arms share even if their trials differ.
             costs = [one.cost(name, cell) for one in pair for name in (PAPERS_PLANNER, baseline)]
             paired = PairedCosts(pd.concat(costs, axis=1, join="inner", keys=range(4)))
             yield estimate_entry(paired.estimate(_difference, range(4)), unit="", sign="+", higher_is_better=True)
@@ -232,12 +241,12 @@ def switch_table(arms: Sequence[ArmRows]) -> Table | None:
 
 
 def _difference(means: Floats) -> Floats:
-    """From means [..., 4] of planner and baseline in one arm and in another."""
+    """Return the difference of two improvements, from means [..., 4] of planner and baseline in each of two arms."""
     return improvement_of_means(means[..., :2]) - improvement_of_means(means[..., 2:])
 
 
 def step_table(steps: Sequence[ArmRows]) -> Table | None:
-    """What each step from the paper's planner to ours saves against the one before, and ours against each."""
+    """Tabulate what each step from the paper's planner to ours saves against the one before, and ours against each."""
     if not steps:
         return None
     cells = [*steps[-1].summary.cells, EVERYTHING]
@@ -254,7 +263,7 @@ def step_table(steps: Sequence[ArmRows]) -> Table | None:
 
 
 def template_table(arms: Sequence[ArmRows]) -> Table | None:
-    """The improvement over the informed baseline by template, all cells together."""
+    """Tabulate the improvement over the informed baseline by template, all cells together."""
     templates = sorted({name for arm in arms for name in arm.rows["template"].dropna()})
     rows: list[Row] = []
     for planner in (PAPERS_PLANNER, OUR_PLANNER):
@@ -268,7 +277,7 @@ def template_table(arms: Sequence[ArmRows]) -> Table | None:
 
 
 def waiting_table(arms: Sequence[ArmRows]) -> Table | None:
-    """The mean share of the episode's time that the robots of a team wait, the one that waits least first."""
+    """Tabulate the mean share of the episode's time for which the robots of a team wait, in ascending order."""
     teams = sorted({int(size) for arm in arms for size in arm.rows["robots"] if size > 1})
 
     def entries(arm: ArmRows, planner: str) -> Iterable[Entry]:
@@ -287,13 +296,13 @@ def _waiting_heading(index: int, robots: int) -> str:
 
 
 def _saved(after: pd.Series, before: pd.Series) -> Entry:
-    """What ``after`` saves on the trials that both finished."""
+    """Return what ``after`` saves on the trials that both finished."""
     pair = pd.concat([after, before], axis=1, join="inner", keys=["after", "before"])
     return saved_entry(PairedCosts(pair).improvement("after", "before"))
 
 
 def _counts(arm: ArmRows, published: Published, planner: str, baselines: Sequence[str]) -> tuple[int, int, int]:
-    """How many published improvements ours are above, around, and below."""
+    """Return how many published improvements ours are above, around, and below."""
     marks = [
         mark(arm.summary.improvement(cell, planner, baseline), value)
         for (baseline, cell), value in published.improvement_percent.items()

@@ -1,7 +1,7 @@
-"""How true a team's beliefs at the beginning of its tasks were: log loss, Brier score and calibration.
+"""Measure how true a team's beliefs were at the beginning of its tasks: log loss, Brier score and calibration.
 
-A planner acts on the probability that a container holds an object of the task, on condition that the object is in the
-home, as every task's object is; this is what is judged. The unit is one pair of container and object.
+A planner acts on the probability that a container holds an object of the task, given that the object is in the home, as
+every task's object is. This probability is judged. The unit is one pair of container and object.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,28 +19,30 @@ from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.metrics import evaluate, reliability
 
 LOSSES = ("log_loss", "brier")
-"""These losses are per pair, so that their means have intervals; the calibration error is over all pairs together."""
+"""These losses are per pair, so that their means have intervals. The calibration error is over all pairs together."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A task that a team did: which objects it was about, and the ids of the containers that were searched."""
+    """A task that a team did: its objects, and the ids of the containers that were searched."""
 
     trial_id: str
     objects: tuple[str, ...]
     searched: frozenset[str]
     seed: int = 0
-    """The trial's."""
+    """The seed of the trial."""
 
 
 Believe = Callable[[Task, int, Sequence[Sighting]], NDArray[np.float64]]
-"""A team's belief about a task's objects, ``[C, O]``, from the task, its number and what earlier tasks showed."""
+"""Returns a team's belief about a task's objects, ``[C, O]``, from the task, its number and what earlier tasks
+showed."""
 
 
 def beliefs_of(home: Home, tasks: Sequence[Task], believe: Believe) -> pd.DataFrame:
-    """``trial_id, task, pair, prob, held, seen`` of each pair of container and object, at the beginning of each task.
+    """Return ``trial_id, task, pair, prob, held, seen`` of each pair of container and object.
 
-    ``seen``: whether an earlier task showed if the container holds the object, so that the team need only remember.
+    The beliefs are those at the beginning of each task. ``seen`` says whether an earlier task showed if the container
+    holds the object, so that the team need only remember.
     """
     seen: list[Sighting] = []
     parts = []
@@ -57,7 +59,7 @@ def beliefs_of(home: Home, tasks: Sequence[Task], believe: Believe) -> pd.DataFr
 
 
 def searched_in(trace: Trace) -> frozenset[str]:
-    """The ids of the containers that some robot searched."""
+    """Return the ids of the containers that some robot searched."""
     return frozenset(leg.container for legs in trace.robots for leg in legs if leg.kind == "search" and leg.container)
 
 
@@ -71,7 +73,10 @@ class Calibration:
 
 
 def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibration:
-    """The calibration of `beliefs_of`'s beliefs; ``home_of``: trial -> the home that is resampled as a whole."""
+    """Return the calibration of `beliefs_of`'s beliefs.
+
+    ``home_of`` maps each trial to its home; homes are resampled as a whole.
+    """
     counts = pd.DataFrame({"positives": beliefs["held"].astype(float), "count": 1.0})
     probs = beliefs["prob"].to_numpy()
     losses = {name: mean_loss(beliefs, name, home_of) for name in LOSSES}
@@ -79,12 +84,12 @@ def calibration(beliefs: pd.DataFrame, home_of: Mapping[str, str]) -> Calibratio
 
 
 def mean_loss(beliefs: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
-    """The mean of one of `LOSSES` over all pairs."""
+    """Return the mean of one of `LOSSES` over all pairs."""
     return _mean(_with_losses(beliefs), name, home_of)
 
 
 def change(after: pd.DataFrame, before: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
-    """By how much the mean loss ``name`` differs between two beliefs about the same pairs: below zero is better."""
+    """Return by how much the mean loss ``name`` differs between two beliefs about the same pairs; less is better."""
     difference = _with_losses(after)[name].to_numpy() - _with_losses(before)[name].to_numpy()
     return _mean(before.assign(**{name: difference}), name, home_of)
 

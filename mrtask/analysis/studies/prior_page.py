@@ -1,4 +1,4 @@
-"""The page of `pipeline.priors`: what a wrong prior costs in a mission, and what adapting in the home wins back."""
+"""The page of `pipeline.priors`: what a wrong prior costs in a mission, and what adapting in the home recovers."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -24,10 +24,10 @@ PANEL_IN = 4.6, 2.9
 
 
 def render_priors(arms: Sequence[ArmRows], tasks: int, experiment: str) -> str:
-    """The page.
+    """Return the page.
 
     Args:
-        tasks: how many trials in a row are in one home.
+        tasks: the number of successive trials in one home.
 
     Raises:
         ValueError: the episodes are not what `PriorStudy.of` demands.
@@ -78,7 +78,7 @@ NOTES = {
 
 
 def findings(study: PriorStudy) -> Findings:
-    """What a prior learned elsewhere costs, and what adapting changes, over all cells."""
+    """Say what a prior learned elsewhere costs, and what adapting changes, over all cells."""
     sentences, verdicts = [], []
     for contents in study.contents:
         where = f"Contents of {CONTENTS_NAMES[contents]}"
@@ -113,7 +113,7 @@ def _percent(estimate: Estimate | None) -> str:
 
 
 def cost_table(study: PriorStudy, contents: str) -> Table:
-    """Mean costs with the best prior, and how far those with the others are above them, by cell."""
+    """Tabulate mean costs with the best prior, and how far those with the others exceed them, by cell."""
     best = study.best(contents)
 
     def line(arm: ArmRows) -> tuple[str, list[Entry]]:
@@ -132,7 +132,7 @@ def cost_table(study: PriorStudy, contents: str) -> Table:
 
 
 def margin_table(study: PriorStudy, contents: str) -> Table:
-    """The planner's improvement over each baseline, by prior and cell."""
+    """Tabulate the planner's improvement over each baseline, by prior and cell."""
     rows: tuple[Row, ...] = ()
     for baseline in BASELINES:
         lines = []
@@ -144,7 +144,10 @@ def margin_table(study: PriorStudy, contents: str) -> Table:
 
 
 def adapting_table(study: PriorStudy, contents: str) -> Table:
-    """What adapting saves, on all tasks and on those about new objects, and how much of a prior's cost that is."""
+    """Tabulate what adapting saves, on all tasks and on those about new objects.
+
+    The table also says how much of a prior's cost that is.
+    """
     pairs = [(PRIOR_NAMES[arm.prior], arm, without) for arm, without in study.pairs(contents)]
 
     def saved(arm: ArmRows, without: ArmRows, chosen: "pd.Series | None" = None) -> list[Entry]:
@@ -167,7 +170,7 @@ def adapting_table(study: PriorStudy, contents: str) -> Table:
 
 
 def task_table(study: PriorStudy, contents: str) -> Table:
-    """What adapting saves in each task, and how far each prior is above the best one there."""
+    """Tabulate what adapting saves in each task, and how far each prior is above the best one there."""
     pairs = study.pairs(contents)
     rows = _part(
         contents,
@@ -182,13 +185,16 @@ def task_table(study: PriorStudy, contents: str) -> Table:
 
 
 def by_task(study: PriorStudy, arm: ArmRows, other: ArmRows) -> list[Estimate]:
-    """What an arm saves against another in each task."""
+    """Return what an arm saves against another in each task."""
     after, before = study.costs(arm), study.costs(other)
     return [study.saved(after, before, study.of_task(after.index, [number])) for number in range(study.tasks)]
 
 
 def belief_table(study: PriorStudy, contents: str) -> Table:
-    """Losses and calibration error before anything was seen and after, and what adapting changes, by prior."""
+    """Tabulate losses and calibration error before anything was seen and after, by prior.
+
+    The table also says what adapting changes.
+    """
     last = _last_tasks(study)
     shown = {"first task": [0]} | ({f"tasks {last[0] + 1} to {last[-1] + 1}": last} if study.tasks > 1 else {})
     columns = [(name, loss) for name in shown for loss in ("log loss", "Brier", "calibration error")]
@@ -224,7 +230,7 @@ def _by_cell(study: PriorStudy, estimate: Callable[[Cell], Estimate], higher_is_
 def _saved_by_cell(
     study: PriorStudy, after: pd.Series, before: pd.Series, chosen: "pd.Series | None" = None
 ) -> list[Entry]:
-    """What is saved in each cell, on all trials or on those that are chosen."""
+    """Return what is saved in each cell, on all trials or on the chosen ones."""
     trials = after.index if chosen is None else after.index[chosen.reindex(after.index, fill_value=False)]
     return _by_cell(study, lambda cell: study.saved(after, before, study.in_cell(trials, cell)), True)
 
@@ -239,7 +245,7 @@ def _loss_entry(estimate: Estimate, **looks: Any) -> Entry:
 
 @house_style()
 def draw_tasks(study: PriorStudy) -> Picture:
-    """A column per contents: cost above the true prior, and what adapting saves, by task."""
+    """Draw a column per contents: cost above the true prior, and what adapting saves, by task."""
     numbers = list(range(1, study.tasks + 1))
     figure, grid = _grid(study, "% above the best prior", "saved by adapting (%)")
     for contents, (upper, lower) in zip(study.contents, grid.T, strict=True):
@@ -258,7 +264,7 @@ def draw_tasks(study: PriorStudy) -> Picture:
 
 @house_style()
 def draw_calibration(study: PriorStudy) -> Picture:
-    """A column per contents: log loss by task, and reliability in the last tasks."""
+    """Draw a column per contents: log loss by task, and reliability in the last tasks."""
     numbers, last = list(range(1, study.tasks + 1)), _last_tasks(study)
     figure, grid = _grid(study, "log loss", "was true")
     for contents, (upper, lower) in zip(study.contents, grid.T, strict=True):
@@ -274,7 +280,7 @@ def draw_calibration(study: PriorStudy) -> Picture:
 
 
 def _grid(study: PriorStudy, upper: str, lower: str) -> tuple[Figure, NDArray[Any]]:
-    """Two rows of panels with these labels, a column per contents, and the legend of the priors."""
+    """Return two rows of panels with these labels, a column per contents, and the legend of the priors."""
     width, height = PANEL_IN
     columns = len(study.contents)
     figure, grid = panels(width * columns, 2 * height + 0.4, 2, columns, sharey="row")
@@ -295,5 +301,5 @@ def _look(arm: ArmRows) -> dict[str, Any]:
 
 
 def _last_tasks(study: PriorStudy) -> list[int]:
-    """The second half of the tasks in a home."""
+    """Return the second half of the tasks in a home."""
     return list(range(study.tasks // 2, study.tasks))

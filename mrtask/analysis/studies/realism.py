@@ -1,8 +1,8 @@
-"""How much generated homes resemble real ones, statistic by statistic, against the spread among the real ones.
+"""Measure how much generated homes resemble real ones, by statistic, relative to the spread among real homes.
 
 Numbers are compared by the Kolmogorov-Smirnov distance, kinds (room types, container types, objects) by the total
-variation distance. The yardstick of a row is the same distance between two random halves of the real homes.
-``python -m pipeline.realism`` makes the table.
+variation distance. The yardstick of a row is the same distance between two random halves of the real homes. ``python -m
+pipeline.realism`` makes the table.
 """
 
 from collections import Counter
@@ -20,19 +20,19 @@ HALVINGS = 20
 ROOM_TYPES = ("Kitchen", "LivingRoom", "Bedroom", "Bathroom")
 
 Values = Sequence[Any]
-"""Numbers or kinds; several per home where the statistic describes rooms or containers."""
+"""Numbers or kinds; several per home if the statistic describes rooms or containers."""
 
 
 @dataclass(frozen=True)
 class DescribedHome:
-    """What the comparison needs of one home: statistics that need no map are computed from ``home``."""
+    """The data that the comparison needs of one home. Statistics that need no map are computed from ``home``."""
 
     home: Home
     travel_m: tuple[float, ...]
     """Path lengths between all pairs of reachable containers."""
     reachable_share: float
     free_floor_share: float
-    """Free floor in the main region, relative to all floor."""
+    """The free floor in the main region, relative to all floor."""
     main_region_share: float
 
 
@@ -86,7 +86,7 @@ KINDS: dict[str, Callable[[DescribedHome], Values]] = {
 
 
 def compare_homes(generated: Sequence[DescribedHome], real: Sequence[DescribedHome], seed: int = 0) -> pd.DataFrame:
-    """One row per size class and statistic.
+    """Return one row per size class and statistic.
 
     Columns: size_class, statistic, measure (KS or TV), generated and real (means; None for kinds), distance, yardstick
     (mean over random halvings of the real homes), ratio of the two.
@@ -119,7 +119,7 @@ def _pool(per_home: Iterable[Values]) -> list[Any]:
 
 
 def _ks_distance(first: Values, second: Values) -> float:
-    """Largest gap between the two cumulative shares; 0 where neither has values, 1 where only one has."""
+    """Return the largest gap between the two cumulative shares: 0 if neither has values, 1 if only one has."""
     if not len(first) or not len(second):
         return float(len(first) != len(second))
     places = np.concatenate([first, second])
@@ -128,7 +128,7 @@ def _ks_distance(first: Values, second: Values) -> float:
 
 
 def _tv_distance(first: Values, second: Values) -> float:
-    """Half the summed gaps between the two shares of each kind."""
+    """Return half the summed gaps between the two shares of each kind."""
     ours, theirs = Counter(first), Counter(second)
     return 0.5 * sum(
         abs(ours[kind] / max(len(first), 1) - theirs[kind] / max(len(second), 1)) for kind in ours | theirs

@@ -1,4 +1,4 @@
-"""The page of a sensitivity study: what the planner saves, against one factor of the experiment at a time."""
+"""The page of a sensitivity study: what the planner saves as one factor of the experiment at a time varies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from mrtask.analysis.results.roles import BASELINES, OUR_PLANNER
 from mrtask.analysis.results.statistics import Estimate, PairedCosts, paired_costs
 
 COMPARED = (*BASELINES, OUR_PLANNER)
-"""The planners that every point has."""
+"""The planners that every point contains."""
 LOG_FROM_RATIO = 100
 """Values that span at least this ratio are drawn on a logarithmic axis."""
 HEIGHT_IN = 3.4
@@ -36,20 +36,20 @@ class Point:
 
     @property
     def trials(self) -> int:
-        """The trials that all planners finished."""
+        """Return the trials that all planners finished."""
         return len(self._costs(None).costs)
 
     @property
     def size_classes(self) -> list[str]:
-        """Small to large."""
+        """Return the size classes from small to large."""
         return size_classes_in_order(self._rows["size_class"].unique())
 
     def improvement(self, baseline: str, size_class: str | None = None) -> Estimate:
-        """What our planner saves of the baseline's mean cost, in percent; in all size classes, or in one."""
+        """Return what our planner saves of the baseline's mean cost, in percent, in all size classes or in one."""
         return self._costs(size_class).improvement(OUR_PLANNER, baseline)
 
     def cost(self, planner: str) -> Estimate:
-        """The planner's mean cost in grid cells."""
+        """Return the planner's mean cost in grid cells."""
         return self._costs(None).mean(planner)
 
     def _costs(self, size_class: str | None) -> PairedCosts:
@@ -63,12 +63,12 @@ class Curve:
 
     name: str
     key: str
-    """In the configuration."""
+    """The factor's key in the configuration."""
     points: tuple[Point, ...]
 
 
 def render_sensitivity(curves: Sequence[Curve], experiment: str) -> str:
-    """The page.
+    """Return the page.
 
     Raises:
         ValueError: the episodes are not what `checked_episodes` demands.
@@ -92,7 +92,7 @@ def render_sensitivity(curves: Sequence[Curve], experiment: str) -> str:
 
 
 def findings(curves: Sequence[Curve]) -> Findings:
-    """At how many values the planner is clearly better than both baselines, and how each factor moves that."""
+    """Say at how many values the planner is clearly better than both baselines, and how each factor moves that."""
     points = [point for curve in curves for point in curve.points]
     better = sum(all(point.improvement(baseline).low > 0 for baseline in BASELINES) for point in points)
     sentences = []
@@ -118,7 +118,10 @@ def findings(curves: Sequence[Curve]) -> Findings:
 
 
 def curve_table(curve: Curve) -> Table:
-    """What is saved over each baseline at each value, in all and by size class, and the mean costs behind it."""
+    """Tabulate the saving over each baseline at each value, in all size classes and in each.
+
+    The mean costs behind it are in the table too.
+    """
     classes = size_classes_in_order(name for point in curve.points for name in point.size_classes)
     parts: list[tuple[str, str | None]] = [("all", None), *((name, name) for name in classes if len(classes) > 1)]
     rows: list[Row] = []
@@ -136,7 +139,10 @@ def curve_table(curve: Curve) -> Table:
 
 @house_style()
 def draw_curve(curve: Curve) -> Figure:
-    """The improvement over each baseline, and the mean costs, against the factor; bands are 95 % intervals."""
+    """Draw the improvement over each baseline, and the mean costs, against the factor.
+
+    Bands are 95 % intervals.
+    """
     values = [point.value for point in curve.points]
     looks = planner_looks(COMPARED)
     figure, ((gains, costs),) = panels(WIDTH_IN, HEIGHT_IN, columns=2)

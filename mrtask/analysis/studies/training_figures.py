@@ -9,11 +9,11 @@ from scipy.stats import binomtest
 from mrtask.likelihood.options import EpochMetrics
 
 MIN_SHOWN_PROB = 1e-3
-"""Where the axes of an empty plot begin."""
+"""The probability at which the axes of an empty plot begin."""
 
 
 def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | None = None) -> Figure:
-    """Training and validation log loss by epoch, with the frequency table's on the validation homes for reference."""
+    """Draw training and validation log loss by epoch, and the frequency table's validation loss for reference."""
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.subplots()
     epochs = [entry["epoch"] for entry in history]
@@ -27,9 +27,10 @@ def loss_curves(history: Sequence[EpochMetrics], frequency_log_loss: float | Non
 
 
 def reliability_plot(reliability: pd.DataFrame) -> Figure:
-    """Observed frequency against mean probability of the bins of ``metrics.reliability``, on log axes.
+    """Draw the observed frequency against the mean probability of the bins of ``metrics.reliability``, on log axes.
 
-    With Wilson's 95 % intervals, as if the rows were independent. A bin without a found object has only its interval.
+    The bins have Wilson's 95 % intervals, as if the rows were independent. A bin without a found object shows only its
+    interval.
     """
     figure = Figure(figsize=(5.0, 5.0), layout="constrained")
     axes = figure.subplots()

@@ -1,8 +1,8 @@
-"""Floor plans on a coarse grid: a footprint with cut corners, in which rooms grow under area shares.
+"""Generate floor plans on a coarse grid: a footprint with cut corners, in which rooms grow towards their area shares.
 
 Source: Lopes et al., *A Constrained Growth Method for Procedural Floor Plan Generation*, GAME-ON 2010, as in ProcTHOR
-(Deitke et al. 2022, appendix B): rooms grow as rectangles, then by L-shapes, then fill what is left. Several plans are
-drawn and the best is taken; if none is sound, the footprint is cut into strips, which always works.
+(Deitke et al. 2022, appendix B): rooms grow as rectangles, then in L-shapes, then fill the remaining cells. Several
+plans are drawn and the best is taken. If no plan is sound, the footprint is cut into strips, which always works.
 """
 
 import math
@@ -22,9 +22,9 @@ from mrtask.homes.home import Point, Polygon, size_class_of
 PLANS_DRAWN = 6
 CORNER_CUTS = 30
 LARGEST_CUT = 2 / 3
-"""Of the footprint's height and width."""
+"""The largest share of the footprint's height and width that a cut may take."""
 SEEDS_WEIGHED = 3
-"""Of so many cells drawn, a room grows from the one furthest from the rooms before it."""
+"""The number of cells drawn for each room. It grows from the one furthest from the earlier rooms."""
 OUTSIDE, EMPTY = -2, -1
 COORDINATE_DECIMALS = 3
 
@@ -33,7 +33,7 @@ Grid = Ints
 
 @dataclass(frozen=True)
 class Wall:
-    """A straight wall between two rooms, or a room and the outside (``rooms[1] == OUTSIDE``)."""
+    """A straight wall between two rooms, or between a room and the outside (``rooms[1] == OUTSIDE``)."""
 
     rooms: tuple[int, int]
     start: Point
@@ -41,13 +41,13 @@ class Wall:
 
     @property
     def length_m(self) -> float:
-        """Metres from start to end."""
+        """Return the metres from start to end."""
         return math.dist(self.start, self.end)
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Room outlines in metres, in the order of the shares asked for; neighbours share their walls exactly."""
+    """Room outlines in metres, in the order of the requested shares; neighbours share their walls exactly."""
 
     rooms: tuple[Polygon, ...]
     walls: tuple[Wall, ...]
@@ -70,7 +70,7 @@ def make_floor_plan(shares: Sequence[float], area_m2: float, rng: np.random.Gene
 
 
 def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
-    """A grid of `EMPTY` cells, `OUTSIDE` where rectangles were cut from its corners."""
+    """Return a grid of `EMPTY` cells, with `OUTSIDE` where rectangles were cut from its corners."""
     facts = load_catalogue().homes["footprints"][size_class_of(area_m2)]
     side_m, fill, aspect = (_draw(facts[name], rng) for name in ("cell_m", "fill", "aspect"))
     boxed = max(area_m2 / side_m**2, 2 * rooms) / fill
@@ -96,7 +96,7 @@ def _footprint(rooms: int, area_m2: float, rng: np.random.Generator) -> Grid:
 
 
 def _box(cells: float, aspect: float) -> tuple[int, int]:
-    """The short and the long side, in whole cells, nearest to a number of cells and an aspect."""
+    """Return the short and the long side, in whole cells, nearest to a number of cells and an aspect ratio."""
     shorts = range(1, math.isqrt(math.ceil(cells)) + 2)
     sizes = [(short, long) for short in shorts for long in range(max(short, 2), math.ceil(cells / short) + 1)]
     return min(
@@ -105,12 +105,12 @@ def _box(cells: float, aspect: float) -> tuple[int, int]:
 
 
 def _draw(quantiles: Sequence[float], rng: np.random.Generator) -> float:
-    """A number from a distribution given by its evenly spaced quantiles."""
+    """Draw a number from a distribution given by its evenly spaced quantiles."""
     return float(np.interp(rng.random(), np.linspace(0, 1, len(quantiles)), quantiles))
 
 
 def _grow(grid: Grid, weights: Floats, rng: np.random.Generator) -> Grid:
-    """Rooms take turns, the one furthest below its share first, until no cell is empty."""
+    """Let rooms take turns, the one furthest below its share first, until no cell is empty."""
     grid = grid.copy()
     target = weights * (grid == EMPTY).sum()
     for room, (row, col) in enumerate(_seeds(grid, len(weights), rng)):
@@ -130,7 +130,7 @@ def _grow(grid: Grid, weights: Floats, rng: np.random.Generator) -> Grid:
 
 
 def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """One cell for each room to grow from, apart from each other."""
+    """Return one cell for each room to grow from, far from each other."""
     cells = rng.permutation(np.argwhere(grid == EMPTY))
     seeds: list[tuple[int, int]] = []
     for room in range(count):
@@ -143,7 +143,10 @@ def _seeds(grid: Grid, count: int, rng: np.random.Generator) -> list[tuple[int, 
 
 
 def _best_strip(grid: Grid, room: int, whole_side: bool, rng: np.random.Generator) -> tuple[Ints, Ints] | None:
-    """The longest run of empty cells along one side of the room: of the whole side, or (L-shapes) of a part of it."""
+    """Return the longest run of empty cells along one side of the room.
+
+    The run covers the whole side or, for L-shapes, a part of it.
+    """
     mine = grid == room
     options: list[tuple[float, tuple[Ints, Ints]]] = []
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -173,7 +176,10 @@ def _runs(flags: Bools) -> list[Ints]:
 
 
 def _fault(grid: Grid, weights: Floats) -> float | None:
-    """How far the plan is from the shares; None when a room is no simple polygon or the rooms do not hang together."""
+    """Return how far the plan is from the shares.
+
+    Return None if a room is not a simple polygon or the rooms are not connected.
+    """
     if (grid == EMPTY).any():
         return None
     total = (grid >= 0).sum()
@@ -188,7 +194,7 @@ def _fault(grid: Grid, weights: Floats) -> float | None:
 
 
 def neighbours(grid: Grid) -> list[tuple[int, int]]:
-    """Pairs of rooms that share a wall."""
+    """Return the pairs of rooms that share a wall."""
     pairs = [(grid[:-1], grid[1:]), (grid[:, :-1], grid[:, 1:])]
     flat = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
     flat = flat[(flat >= 0).all(axis=1) & (flat[:, 0] != flat[:, 1])]
@@ -196,7 +202,7 @@ def neighbours(grid: Grid) -> list[tuple[int, int]]:
 
 
 def _is_simple(mask: Bools) -> bool:
-    """Whether the cells form one polygon without holes or points where it touches itself."""
+    """Return whether the cells form one polygon without holes and without points where it touches itself."""
     around = np.pad(mask, 1)
     nw, ne, sw, se = around[:-1, :-1], around[:-1, 1:], around[1:, :-1], around[1:, 1:]
     touches = ((nw & se & ~ne & ~sw) | (ne & sw & ~nw & ~se)).any()
@@ -204,7 +210,7 @@ def _is_simple(mask: Bools) -> bool:
 
 
 def _outline(grid: Grid, room: int, side_m: float) -> Polygon:
-    """The room's corners, clockwise seen with x to the right and y up, as in ProcTHOR."""
+    """Return the room's corners, clockwise with x to the right and y up, as in ProcTHOR."""
     rows, cols = np.nonzero(grid == room)
     shape = shapely.normalize(shapely.union_all(shapely.box(cols, rows, cols + 1, rows + 1)).simplify(0))
     return tuple(_point(x, y, side_m) for x, y in shapely.get_coordinates(shape)[:-1])
@@ -215,7 +221,7 @@ def _point(col: float, row: float, side_m: float) -> Point:
 
 
 def _walls(grid: Grid, side_m: float) -> Iterator[Wall]:
-    """All walls, each as long as the same two sides meet in a straight line."""
+    """Yield all walls; each is as long as the same two sides meet in a straight line."""
     for upright, cells in ((False, grid), (True, grid.T)):
         padded = np.pad(np.where(cells == EMPTY, OUTSIDE, cells), 1, constant_values=OUTSIDE)
         for line, (before, after) in enumerate(pairwise(padded[:, 1:-1])):
@@ -229,6 +235,6 @@ def _walls(grid: Grid, side_m: float) -> Iterator[Wall]:
 
 
 def _strips(weights: Floats) -> Grid:
-    """Each room a strip across the footprint, as wide as its share."""
+    """Make each room a strip across the footprint, as wide as its share."""
     cells = np.maximum(np.round(weights * 4 * len(weights)).astype(int), 1)
     return np.tile(np.repeat(np.arange(len(weights)), cells), (max(int(cells.sum()) // 2, 2), 1))

@@ -1,8 +1,8 @@
-"""Puts furniture into one room: against walls, in corners or free-standing, with the free floor kept in one piece.
+"""Put furniture into one room: against walls, in corners or free-standing, so that the free floor stays connected.
 
-What stands where is drawn from the catalogue by room type and area class. For each piece a fixed number of places is
+The furniture is drawn from the catalogue by room type and area class. For each piece, a fixed number of places is
 drawn; a piece that fits none of them is left out, as in ProcTHOR. A coarse raster with a robot larger than the real one
-guards that every door and container stays within reach.
+ensures that every door and container stays within reach.
 """
 
 import math
@@ -21,21 +21,21 @@ from mrtask.homes.home import Point, Polygon
 
 RASTER_M = 0.05
 CLEARANCE_M = 0.23
-"""More than the robot's 0.2 m, so that what is passable here is so on the map's finer grid."""
+"""More than the robot's 0.2 m, so that whatever is passable here is also passable on the map's finer grid."""
 ACCESS_M = 0.45
-"""Every container keeps passable floor within this of its footprint."""
+"""The distance from every container's footprint within which some floor stays passable."""
 POCKET_SHARE, POCKET_PROB = 0.2, 0.3
-"""Most pieces stand where they leave the passable floor in one piece; some, and those that fit nowhere else, may cut
-off pockets of so much of it."""
+"""Most pieces stand where the passable floor stays connected. Some pieces, and those that fit nowhere else, may cut off
+pockets of up to this share of it."""
 WALL_GAP_M = 0.02
 ITEM_GAP_M = 0.08
 CHAIR_GAP_M = 0.01
 DOOR_DEPTH_M, DOOR_SIDE_M = 0.75, 0.3
-"""The floor before and beside a door that stays empty."""
+"""The size of the floor in front of a door and beside it that stays empty."""
 ASSETS_TRIED = 10
 PLACES_DRAWN = 80
 PLACES_CHECKED = 10
-"""Of the places that fit, this many are checked for what they would cut off."""
+"""The number of fitting places for which it is checked what they would cut off."""
 ORDER_NOISE = 0.4
 CHAIR_TURN_DEG = 30.0
 SEAT_OVERLAP = (0.15, 0.35)
@@ -49,7 +49,7 @@ Segment = tuple[Point, Point]
 
 @dataclass(frozen=True)
 class Piece:
-    """A placed piece of furniture; ``rotation_deg`` is Unity's (clockwise seen from above, 0 faces +y)."""
+    """A placed piece of furniture; ``rotation_deg`` follows Unity (clockwise seen from above, 0 faces +y)."""
 
     type: str
     asset_id: str
@@ -60,13 +60,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class _Places:
-    """Candidate places of one piece: centres [N, 2] and rotations [N] in degrees."""
+    """The candidate places of one piece: centres [N, 2] and rotations [N] in degrees."""
 
     centers: Floats
     rotations_deg: Floats
 
     def shapes(self, size_m: Size) -> NDArray[np.object_]:
-        """[N] the footprints of a box of this size."""
+        """Return the footprints [N] of a box of this size."""
         turn = np.radians(self.rotations_deg)[:, None]
         half_x, half_z = size_m.x / 2, size_m.z / 2
         a, b = np.array([-half_x, half_x, half_x, -half_x]), np.array([-half_z, -half_z, half_z, half_z])
@@ -75,7 +75,7 @@ class _Places:
 
 
 class _Floor:
-    """A room's floor while it is being furnished."""
+    """A room's floor while the room is being furnished."""
 
     def __init__(self, outline: Polygon, doors: Iterable[Segment]) -> None:
         self.shape = shapely.Polygon(outline)
@@ -91,7 +91,7 @@ class _Floor:
             for start, end in zip(wall.coords, wall.coords[1:], strict=False):
                 self._passable[self._cells(shapely.LineString([start, end]).buffer(CLEARANCE_M))] = False
         self._zones = [_widen(line, DOOR_SIDE_M).buffer(DOOR_DEPTH_M, cap_style="flat") for line in door_lines]
-        # Each must keep a cell of the main region: the doors, and the surroundings of each container.
+        # Each door, and the surroundings of each container, must keep a cell of the main region.
         self._must_reach = [cells for zone in self._zones if len((cells := self._cells(zone))[0])]
         self._placed: list[shapely.Polygon] = []
         self._cut_off = 0
@@ -102,7 +102,10 @@ class _Floor:
         return cells
 
     def fitting(self, shapes: NDArray[np.object_], table: shapely.Polygon | None = None) -> Ints:
-        """The indices of the shapes that lie in the room and off doors and furniture; chairs may be under ``table``."""
+        """Return the indices of the shapes that lie in the room, away from doors and furniture.
+
+        Chairs may be under ``table``.
+        """
         fits = shapely.covers(self.shape, shapes)
         for zone in self._zones:
             fits &= ~shapely.intersects(zone, shapes)
@@ -112,9 +115,10 @@ class _Floor:
         return np.flatnonzero(fits)
 
     def add(self, shape: shapely.Polygon, is_container: bool, pocket_share: float) -> bool:
-        """Place the shape unless it would cut off a door, a container, or more floor than before and than this share.
+        """Place the shape unless it would cut off too much, and return whether it was placed.
 
-        Says whether it was placed.
+        It may not cut off a door, a container, or more floor than both this share and the floor that was cut off
+        before.
         """
         passable = self._passable.copy()
         passable[self._cells(shape.buffer(CLEARANCE_M, quad_segs=2))] = False
@@ -136,7 +140,7 @@ class _Floor:
 
 
 def _widen(line: shapely.LineString, by_m: float) -> shapely.LineString:
-    """The segment, longer by so much at both ends."""
+    """Return the segment, longer by ``by_m`` at both ends."""
     start, end = shapely.get_coordinates(line)
     step = (end - start) / line.length * by_m
     return shapely.LineString([start - step, end + step])
@@ -145,7 +149,7 @@ def _widen(line: shapely.LineString, by_m: float) -> shapely.LineString:
 def furnish_room(
     room_type: str, outline: Polygon, doors: Iterable[Segment], catalogue: Catalogue, rng: np.random.Generator
 ) -> list[Piece]:
-    """Furniture for a room whose outline runs clockwise; ``doors`` are the openings in its walls."""
+    """Furnish a room whose outline runs clockwise; ``doors`` are the openings in its walls."""
     facts = catalogue.rooms[room_type]
     floor = _Floor(outline, doors)
     area_class = int(np.searchsorted(facts["area_classes_m2"], floor.shape.area, side="right"))
@@ -188,7 +192,7 @@ def _draw_asset(catalogue: Catalogue, kind: str, rng: np.random.Generator) -> tu
 
 
 def _draw_places(floor: _Floor, kind: str, size_m: Size, wall: bool, corner: bool, rng: np.random.Generator) -> _Places:
-    """Places in corners, along walls or on the open floor; pieces stand with their back to the wall."""
+    """Draw places in corners, along walls or on the open floor. Pieces have their backs to the wall."""
     corners = np.array(floor.outline)
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(*sides.T)
@@ -219,7 +223,7 @@ def _place(
     may_cut_off: bool,
     table: shapely.Polygon | None = None,
 ) -> tuple[Piece, shapely.Polygon] | None:
-    """Put the piece at the first place that serves, None when none does."""
+    """Put the piece at the first suitable place, or return None if no place is suitable."""
     places = _Places(np.round(places.centers, DECIMALS), np.round(places.rotations_deg, DECIMALS))
     shapes = places.shapes(size_m)
     candidates = floor.fitting(shapes, table)[:PLACES_CHECKED]
@@ -240,7 +244,7 @@ def _place_chairs(
     may_cut_off: bool,
     rng: np.random.Generator,
 ) -> list[Piece]:
-    """Chairs of one kind around a table, facing it, pushed under it a little."""
+    """Place chairs of one kind around a table, facing it and pushed under it a little."""
     asset_id, size_m = _draw_asset(catalogue, "Chair", rng)
     corners = shapely.get_coordinates(table_shape)[:4]
     sides = np.roll(corners, -1, axis=0) - corners
@@ -254,7 +258,7 @@ def _place_chairs(
         centers += outward * (size_m.z * (0.5 - push))[:, None]
         turns = np.degrees(np.arctan2(-outward[:, 0], -outward[:, 1]))
         turns = (turns + rng.uniform(-CHAIR_TURN_DEG, CHAIR_TURN_DEG, PLACES_DRAWN)) % 360
-        if chairs:  # the places furthest from the chairs before come first
+        if chairs:  # the places furthest from the earlier chairs come first
             others = np.array([chair.center for chair in chairs])
             order = np.argsort(-np.hypot(*(centers[:, None] - others).transpose(2, 0, 1)).min(axis=1))
             centers, turns = centers[order], turns[order]

@@ -1,4 +1,4 @@
-"""Generated homes as `Home` objects, for programs that need no house files."""
+"""Generate homes as `Home` objects, for programs that need no house files."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,11 +10,14 @@ SOURCE = "generated"
 
 
 def generate_home(seed: int, size_class: str | None = None, rooms: int | None = None) -> Home:
-    """The home that a seed gives; arguments and errors as of `mrtask.homes.generator.house.generate_house`."""
+    """Generate the home of a seed.
+
+    Takes and raises what `mrtask.homes.generator.house.generate_house` does.
+    """
     return parse_house(generate_house(seed, size_class, rooms), None, SOURCE, seed)
 
 
 def generate_homes(count: int, seed: int = 0, size_classes: Sequence[str] = SIZE_CLASSES) -> Iterator[Home]:
-    """So many homes, the size classes taking turns; home k of a seed is the same whatever ``count``."""
+    """Generate ``count`` homes whose size classes take turns; home k of a seed does not depend on ``count``."""
     for number in range(count):
         yield generate_home(seed + number, size_classes[number % len(size_classes)])

@@ -1,8 +1,8 @@
-"""Generates homes after ProcTHOR's method, as house JSON that the reader (and ProcTHOR's own tools) take.
+"""Generate homes after ProcTHOR's method, as house JSON for our reader and for ProcTHOR's own tools.
 
 Source: Deitke et al. 2022: room specification -> floor plan -> doors and openings along the room graph -> furniture by
-room type -> objects by room, container and object. The likelihoods come from the catalogue. A home depends on its seed
-and the two size arguments only.
+room type -> objects by room, container and object. The likelihoods come from the catalogue. A home depends only on its
+seed and the two size arguments.
 """
 
 import gzip
@@ -27,24 +27,24 @@ from mrtask.homes.home import LARGE_ABOVE_M2, SIZE_CLASSES, SMALL_BELOW_M2, Poin
 SCHEMA = "1.0.0"
 MAX_ROOMS = 10
 FIRST_ROOM_NUMBER = 2
-"""ProcTHOR keeps 0 and 1 for the outside."""
+"""ProcTHOR reserves 0 and 1 for the outside."""
 CLASS_AREAS_M2 = {
     "small": (15.0, SMALL_BELOW_M2),
     "medium": (SMALL_BELOW_M2, LARGE_ABOVE_M2),
     "large": (LARGE_ABOVE_M2, 400.0),
 }
 AREA_MARGIN_M2 = 0.5
-"""Kept from the borders of the size classes, so that rounding does not cross them."""
+"""The distance from the borders of the size classes, so that rounding does not cross them."""
 ROOM_AREA_M2 = (15.0, 32.0)
-"""Mean floor area per room where only the number of rooms is given."""
+"""The mean floor area per room if only the number of rooms is given."""
 MIN_ROOM_AREA_M2 = 5.0
 WALL_HEIGHT_M = 3.0
 DOOR_HEIGHT_M = 2.1
 DOOR_MARGIN_M = 0.12
-"""Wall left beside a door."""
+"""The length of wall that remains beside a door."""
 OPENING = "opening"
 EXTRA_JOINT_SHARE = 0.05
-"""Share of the neighbouring pairs that are joined although there is a way between them already."""
+"""The share of neighbouring pairs of rooms that are joined although a way between them exists already."""
 FURNISHINGS_TRIED = 8
 
 House = dict[str, Any]
@@ -59,15 +59,15 @@ class _Door:
 
     @property
     def segment(self) -> Segment:
-        """The opening on the floor plane."""
+        """Return the opening on the floor plane."""
         return _point_along(self.wall, self.low_m), _point_along(self.wall, self.high_m)
 
 
 def generate_house(seed: int, size_class: str | None = None, rooms: int | None = None) -> House:
-    """A house JSON of schema 1.0.0 with object ids ``Type|room|n``.
+    """Generate a house JSON of schema 1.0.0 with object ids ``Type|room|n``.
 
-    ``size_class`` is one of ``small``, ``medium``, ``large`` (default: drawn evenly, or from ``rooms``); ``rooms`` is 1
-    to 10 (default: as in ProcTHOR's homes of that class). Raises `ValueError` for other values.
+    ``size_class`` is ``small``, ``medium`` or ``large`` (default: drawn evenly, or according to ``rooms``). ``rooms``
+    is 1 to 10 (default: as in ProcTHOR's homes of that class). Raises `ValueError` for other values.
     """
     if size_class is not None and size_class not in SIZE_CLASSES:
         raise ValueError(f"size_class '{size_class}' is unknown; allowed: {', '.join(SIZE_CLASSES)}")
@@ -91,9 +91,9 @@ def generate_house(seed: int, size_class: str | None = None, rooms: int | None =
 
 
 def write_houses(path: Path, houses: Iterable[House]) -> int:
-    """Write houses as gzipped JSON lines and return their number; the file appears complete or not at all."""
+    """Write houses as gzipped JSON lines and return their number. The file appears complete or not at all."""
     count = 0
-    # No name and no time in the header: equal houses make equal files.
+    # The header has no name and no time, so that equal houses give equal files.
     with (
         replacing(path) as temporary,
         temporary.open("wb") as raw,
@@ -108,7 +108,7 @@ def write_houses(path: Path, houses: Iterable[House]) -> int:
 def _draw_spec(
     catalogue: Catalogue, size_class: str | None, rooms: int | None, rng: np.random.Generator
 ) -> tuple[str, Sequence[dict[str, Any]], float]:
-    """The specification's name, its rooms' types and shares of the area, and the area."""
+    """Return the specification's name, its rooms' types and shares of the area, and the area."""
     if size_class is None and rooms is not None:
         return *_spec_with(catalogue, rooms, rng), rooms * float(rng.uniform(*ROOM_AREA_M2))
     size_class = size_class or SIZE_CLASSES[int(rng.integers(len(SIZE_CLASSES)))]
@@ -126,7 +126,10 @@ def _draw_spec(
 
 
 def _spec_with(catalogue: Catalogue, rooms: int, rng: np.random.Generator) -> tuple[str, Sequence[dict[str, Any]]]:
-    """A specification with this many rooms; where there is none, a larger one with some rooms left out."""
+    """Return a specification with this many rooms.
+
+    If no specification has this many, leave some rooms out of a larger one.
+    """
     specs = catalogue.homes["specs"]
     enough = min(len(spec) for spec in specs.values() if len(spec) >= rooms)
     fitting = [name for name, spec in specs.items() if len(spec) == enough]
@@ -138,7 +141,10 @@ def _spec_with(catalogue: Catalogue, rooms: int, rng: np.random.Generator) -> tu
 def _join_rooms(
     plan: FloorPlan, types: Sequence[str], catalogue: Catalogue, rng: np.random.Generator
 ) -> tuple[list[_Door], frozenset[Wall]]:
-    """Doors and opened walls: a spanning tree of the room graph that prefers usual pairs, and the front door."""
+    """Return the doors and the opened walls.
+
+    They follow a spanning tree of the room graph that prefers usual pairs. The doors include the front door.
+    """
     shared: dict[tuple[int, int], list[Wall]] = defaultdict(list)
     for wall in plan.walls:
         if wall.rooms[1] != OUTSIDE:
@@ -167,7 +173,7 @@ def _join_rooms(
 
 
 def _joint_counts(catalogue: Catalogue, first: str, second: str) -> dict[str, int]:
-    """How often each kind of door joins two room types."""
+    """Return how often each kind of door joins two room types."""
     counts: dict[str, int] = catalogue.doors["between"].get("-".join(sorted((first, second))), {})
     return counts
 
@@ -178,7 +184,10 @@ def _place_door(wall: Wall, kind: str, width_m: float, rng: np.random.Generator)
 
 
 def _front_door(plan: FloorPlan, types: Sequence[str], catalogue: Catalogue, rng: np.random.Generator) -> list[_Door]:
-    """One door to the outside, in a usual room with a long enough outer wall; none where there is no such wall."""
+    """Return one door to the outside, in a usual room with a long enough outer wall.
+
+    Return no door if no wall is long enough.
+    """
     kind = "Doorway"
     width_m = catalogue.doors["width_m"][kind]
     outer = [w for w in plan.walls if w.rooms[1] == OUTSIDE and w.length_m >= width_m + 2 * DOOR_MARGIN_M]
@@ -196,7 +205,10 @@ def _furnish(
     catalogue: Catalogue,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """The objects of all rooms; drawn anew a few times in the rare case that there is no container among them."""
+    """Return the objects of all rooms.
+
+    In the rare case that no object is a container, they are drawn again, a few times.
+    """
     openings: list[list[Segment]] = [[] for _ in types]
     for room in range(len(types)):
         openings[room] += [door.segment for door in doors if room in door.wall.rooms]
@@ -280,7 +292,7 @@ def _wall_id(room: int, wall: Wall) -> str:
 
 
 def _wall_json(wall: Wall, is_open: bool) -> list[dict[str, Any]]:
-    """The wall's two sides, each along its room's outline, hence in opposite directions."""
+    """Return the wall's two sides. Each follows its room's outline, hence they run in opposite directions."""
     sides = []
     for room, (start, end) in zip(wall.rooms, ((wall.start, wall.end), (wall.end, wall.start)), strict=True):
         corners = [_vector(point, height_m) for height_m in (0.0, WALL_HEIGHT_M) for point in (start, end)]

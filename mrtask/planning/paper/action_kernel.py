@@ -1,9 +1,9 @@
-"""Which actions <container, object> a robot has in `pouct_paper`'s search, and the order in which a node tries them.
+"""The actions <container, object> of a robot in `pouct_paper`'s search, and the order in which a node tries them.
 
 Every action makes progress: it looks for an object that is needed, interacts with one that is due, or takes a robot
-that does not stand ready to where an object for later is known to be. So a team of R robots takes at most 2 R decisions
-in a row in which nothing is learned or done: between two pieces of news each robot arrives at most once at a place that
-the first of them made useless, and once to stand ready.
+that does not stand ready to the known place of an object for later. A team of R robots therefore takes at most 2 R
+decisions in a row in which it learns and does nothing: between two pieces of news, each robot arrives at most once at a
+place that the first of them made useless, and once to stand ready.
 
 Legend: R robots, C containers, O objects, M tree nodes. Sets of objects are bit masks.
 """
@@ -26,7 +26,7 @@ from mrtask.planning.tree import Tree
 
 
 class ActionRules(NamedTuple):
-    """Which of the actions that make progress are left out, see `PaperOptions`."""
+    """The rules that leave out some of the actions that make progress; see `PaperOptions`."""
 
     max_actions: int
     avoid_targets: bool
@@ -35,26 +35,26 @@ class ActionRules(NamedTuple):
 
 LIMIT = np.dtype(
     [
-        ("least_prob", np.float64),  # an action must be likelier than this,
-        ("last_tie", np.int64),  # or equal and no later than this action
+        ("least_prob", np.float64),  # an action must be likelier than this
+        ("last_tie", np.int64),  # or equally likely and no later than this action
         ("advancing_only", np.int64),
-        ("free_only", np.int64),  # no containers that other robots head for
+        ("free_only", np.int64),  # 1: without containers that other robots head for
     ],
     align=True,
 )
 
 
 class ActionLimits(NamedTuple):
-    """What the rules leave at each node, worked out at its first visit."""
+    """The actions that the rules leave at each node, computed at its first visit."""
 
     nodes: Records  # [M] of LIMIT
-    ranked_prob: Floats  # [max_actions] work space: the likeliest actions so far
+    ranked_prob: Floats  # [max_actions] scratch: the likeliest actions so far
     ranked: Ints  # [max_actions]
 
 
 @inlined
 def _stands_ready(model: PaperModel, belief: PaperBelief, r: int) -> bool:
-    """Whether a robot stands where an object for later is known to be."""
+    """Return whether a robot stands where an object for later is known to be."""
     place = belief.robots[r].place
     if place == NONE or belief.robots[r].under_way:
         return False
@@ -64,10 +64,10 @@ def _stands_ready(model: PaperModel, belief: PaperBelief, r: int) -> bool:
 
 @inlined
 def useful_objects(model: PaperModel, belief: PaperBelief, r: int) -> tuple[int, int]:
-    """Masks of the objects that a robot may look for, and of those that it may go to where they are known to be.
+    """Return two masks: the objects that a robot may look for, and those whose known place it may go to.
 
-    An object known to be somewhere is not looked for elsewhere, and objects for later are looked for, or waited at,
-    once all those worth an interaction now are located.
+    A robot never looks elsewhere for an object whose place is known. It looks for objects for later, or waits at them,
+    only once all objects worth an interaction now are located.
     """
     z = belief.state[AUTOMATON]
     now, located = model.states[z].worth, belief.state[LOCATED]
@@ -80,7 +80,7 @@ def useful_objects(model: PaperModel, belief: PaperBelief, r: int) -> tuple[int,
 
 @inlined
 def _objects_at(model: PaperModel, belief: PaperBelief, r: int, c: int, sought: int, fetched: int) -> int:
-    """Mask of the objects that make going to a container an action: nobody's yet, and in reach."""
+    """Return the mask of the objects that make going to a container an action: unclaimed ones within reach."""
     mask = (sought & model.possible[c] & ~belief.containers[c].absent) | (fetched & belief.containers[c].present)
     if mask == 0:
         return 0
@@ -94,7 +94,7 @@ def _objects_at(model: PaperModel, belief: PaperBelief, r: int, c: int, sought: 
 
 @inlined
 def _headed_for(belief: PaperBelief, r: int, c: int) -> bool:
-    """Whether another robot goes to a container or acts there."""
+    """Return whether another robot goes to a container or acts there."""
     for other in range(belief.robots.size):
         if other != r and belief.robots[other].obj != NONE and belief.robots[other].place == c:
             return True
@@ -103,7 +103,7 @@ def _headed_for(belief: PaperBelief, r: int, c: int) -> bool:
 
 @inlined
 def _is_alone(belief: PaperBelief, r: int) -> bool:
-    """Whether all other robots wait."""
+    """Return whether all other robots wait."""
     for other in range(belief.robots.size):
         if other != r and (belief.robots[other].undecided or belief.robots[other].obj != NONE):
             return False
@@ -114,7 +114,7 @@ def _is_alone(belief: PaperBelief, r: int) -> bool:
 def set_limits(
     model: PaperModel, belief: PaperBelief, rules: ActionRules, limits: ActionLimits, node: int, r: int
 ) -> None:
-    """Works out what the rules leave of a robot's actions: one at least, if there is any."""
+    """Compute which of a robot's actions the rules leave. At least one remains if the robot has any."""
     limit, containers = limits.nodes[node], belief.containers.size
     now = model.states[belief.state[AUTOMATON]].worth
     sought, fetched = useful_objects(model, belief, r)
@@ -145,7 +145,10 @@ def set_limits(
 def _rank(
     model: PaperModel, belief: PaperBelief, limits: ActionLimits, node: int, r: int, sought: int, fetched: int
 ) -> None:
-    """Sets the likelihood that an action needs to be among the likeliest ones; of equals the first stay."""
+    """Set the likelihood that an action needs to be among the likeliest ones.
+
+    Of equally likely actions, the first ones stay.
+    """
     limit = limits.nodes[node]
     containers, objects = model.prob.shape
     most, count, dropped = limits.ranked.size, 0, False
@@ -175,7 +178,7 @@ def _rank(
 
 @inlined
 def _passes(model: PaperModel, belief: PaperBelief, limits: ActionLimits, node: int, r: int, c: int, obj: int) -> bool:
-    """Whether an action is among those that the rules leave at a node."""
+    """Return whether an action is among those that the rules leave at a node."""
     limit = limits.nodes[node]
     if limit.free_only and _headed_for(belief, r, c):
         return False
@@ -191,7 +194,7 @@ def _passes(model: PaperModel, belief: PaperBelief, limits: ActionLimits, node: 
 def next_action(
     model: PaperModel, belief: PaperBelief, rules: ActionRules, limits: ActionLimits, tree: Tree, node: int
 ) -> int:
-    """The next action that a node has not tried, or C * O once it has tried all."""
+    """Return the next action that a node has not tried, or C * O once it has tried all."""
     containers, objects = model.prob.shape
     r, first = tree.nodes[node].robot, tree.nodes[node].next_untried
     limited = rules.avoid_targets or rules.advance_when_alone or limits.ranked.size < model.prob.size
@@ -216,7 +219,7 @@ def next_action(
 
 @inlined
 def first_action(model: PaperModel, belief: PaperBelief, r: int) -> int:
-    """A robot's first action, NONE if it has none."""
+    """Return a robot's first action, or NONE if it has none."""
     objects = model.prob.shape[1]
     sought, fetched = useful_objects(model, belief, r)
     for c in range(model.prob.shape[0]):

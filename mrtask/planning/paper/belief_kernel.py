@@ -1,4 +1,4 @@
-"""The paper's belief-state abstraction, compiled: concurrent actions <container, object> and Algorithm 1's outcomes.
+"""The paper's belief-state abstraction, compiled: concurrent actions <container, object>, outcomes of Algorithm 1.
 
 Legend: R robots, C containers, O objects, Z automaton states, S object sets. Sets of objects are bit masks. An action
 is ``container * O + object``.
@@ -27,50 +27,50 @@ CONTAINER = np.dtype(
 )
 ROBOT = np.dtype(
     [
-        ("arrive_s", np.float64),  # the action's failure event, in the past once the object is found
-        ("done_s", np.float64),  # the action's success event
-        ("reach_s", np.float64),  # when a robot is at its container, before the search
-        ("since_s", np.float64),  # departure
-        ("place", np.int64),  # container a robot stands at or goes to, NONE at a place of its own
-        ("obj", np.int64),  # object of its action, NONE while free or waiting
-        ("origin", np.int64),  # container departed from, or NONE: then `PaperBelief.away` counts
+        ("arrive_s", np.float64),  # time of the action's failure event, in the past once the object is found
+        ("done_s", np.float64),  # time of the action's success event
+        ("reach_s", np.float64),  # time at which the robot reaches its container, before the search
+        ("since_s", np.float64),  # time of departure
+        ("place", np.int64),  # container at which a robot stands or to which it goes, NONE anywhere else
+        ("obj", np.int64),  # object of the robot's action, NONE while it is free or waits
+        ("origin", np.int64),  # container of departure, or NONE if `PaperBelief.away` holds the times
         ("undecided", np.int64),
-        ("under_way", np.int64),  # 1 for a robot up for decision in mid-path
+        ("under_way", np.int64),  # 1 for a robot that decides again in mid-path
     ],
     align=True,
 )
 
 
 class PaperModel(NamedTuple):
-    """What does not change while planning."""
+    """The data that do not change while planning."""
 
     travel_s: Floats  # [C, C]
     prob: Floats  # [C, O]
     possible: Ints  # [C] mask of the objects whose likelihood is above 0
     transitions: Ints  # [Z, O]
     states: Records  # [Z] of `shared_kernel.STATE`
-    sufficient: Ints  # [Z, S] minimal sets of objects that complete the task, padded by NONE
+    sufficient: Ints  # [Z, S] minimal sets of objects that complete the task, padded with NONE
     search_time_s: float
     interact_time_s: float
-    penalty_s: float  # added to the cost of a sample that can't finish
-    exists: bool  # likelihoods are conditioned on every object being somewhere
-    redirect: bool  # robots under way decide anew after news
+    penalty_s: float  # added to the cost of a sample that cannot finish
+    exists: bool  # whether likelihoods are conditioned on every object being somewhere
+    redirect: bool  # whether robots under way decide again after news
 
 
 class PaperBelief(NamedTuple):
-    """One sample's team belief."""
+    """The team's belief in one sample."""
 
     clock: Floats  # [1] seconds since the root
     state: Ints  # [3] AUTOMATON state, mask of LOCATED objects (known to be somewhere), NEWS 1 if the last step had any
     containers: Records  # [C] of CONTAINER
-    nowhere: Floats  # [O] probability that the object is in no container where that is unknown
+    nowhere: Floats  # [O] probability that no container of unknown contents holds the object
     robots: Records  # [R] of ROBOT
-    away: Floats  # [R, C] travel times from the place that is no container
+    away: Floats  # [R, C] travel times from a place that is not a container
 
 
 @inlined
 def copy_belief(model: PaperModel, source: PaperBelief, target: PaperBelief) -> None:
-    """Overwrites target; rows of ``away`` change only with ``model.redirect``."""
+    """Overwrite the target with the source. Rows of ``away`` change only with ``model.redirect``."""
     copy_team(source, target)
     for r in range(source.robots.size):
         if model.redirect and source.robots[r].origin == NONE:
@@ -80,7 +80,7 @@ def copy_belief(model: PaperModel, source: PaperBelief, target: PaperBelief) -> 
 
 @inlined
 def distance_s(model: PaperModel, belief: PaperBelief, r: int, c: int) -> float:
-    """Seconds from a robot's place to a container; for a robot up for decision in mid-path from where it is."""
+    """Return the seconds from a robot's place, or from its position in mid-path if it decides there, to a container."""
     robot = belief.robots[r]
     place = robot.place
     if robot.under_way:
@@ -93,7 +93,7 @@ def distance_s(model: PaperModel, belief: PaperBelief, r: int, c: int) -> float:
 
 @inlined
 def _leave_path(model: PaperModel, belief: PaperBelief, r: int) -> None:
-    """Lets a robot in mid-path stand where it is."""
+    """Let a robot in mid-path stand where it is."""
     robot = belief.robots[r]
     for c in range(belief.containers.size):
         belief.away[r, c] = distance_s(model, belief, r, c)
@@ -104,7 +104,7 @@ def _leave_path(model: PaperModel, belief: PaperBelief, r: int) -> None:
 
 @inlined
 def act(model: PaperModel, belief: PaperBelief, r: int, action: int) -> None:
-    """Lets a robot begin an action, or wait."""
+    """Let a robot begin an action, or wait."""
     robot = belief.robots[r]
     robot.undecided = 0
     objects = model.prob.shape[1]
@@ -139,7 +139,7 @@ def _go(model: PaperModel, belief: PaperBelief, r: int, container: int, obj: int
 
 @inlined
 def presence_prob(model: PaperModel, belief: PaperBelief, c: int, obj: int) -> float:
-    """P_S: the likelihood of an object in a container, 0 or 1 where that is known."""
+    """Return P_S, the likelihood of an object in a container: 0 or 1 where the contents are known."""
     if (belief.containers[c].present >> obj) & 1:
         return 1.0
     if (belief.containers[c].absent >> obj) & 1:
@@ -152,7 +152,7 @@ def presence_prob(model: PaperModel, belief: PaperBelief, c: int, obj: int) -> f
 
 @inlined
 def _look(model: PaperModel, belief: PaperBelief, rng: UInt64s, c: int, obj: int) -> bool:
-    """A robot has searched a container for an object: whether it is there."""
+    """Let a robot that has searched a container look for an object there, and return whether it finds it."""
     belief.containers[c].searched = 1
     if ((belief.containers[c].present | belief.containers[c].absent) >> obj) & 1 == 0:
         belief.state[NEWS] = 1
@@ -167,9 +167,9 @@ def _look(model: PaperModel, belief: PaperBelief, rng: UInt64s, c: int, obj: int
 
 @inlined
 def sample_outcome(model: PaperModel, belief: PaperBelief, rng: UInt64s) -> int:
-    """Draws one outcome of Algorithm 1; returns 2 * robot + (1 if found), or NONE if nobody acts.
+    """Draw one outcome of Algorithm 1. Return 2 * robot + (1 if found), or NONE if no robot acts.
 
-    Failure events are walked in the order of time and robot up to the first success event, which ends the walk.
+    The walk visits failure events in the order of time and robot, up to the first success event, which ends it.
     """
     robots = belief.robots.size
     z = belief.state[AUTOMATON]
@@ -210,7 +210,7 @@ def sample_outcome(model: PaperModel, belief: PaperBelief, rng: UInt64s) -> int:
 
 @inlined
 def mark_undecided(model: PaperModel, belief: PaperBelief) -> None:
-    """The freed robot and those that waited decide; with ``redirect``, after news, those in mid-path too."""
+    """Let the freed robot and those that waited decide; with ``redirect``, also those in mid-path after news."""
     for r in range(belief.robots.size):
         if belief.robots[r].obj == NONE:
             belief.robots[r].undecided = 1
@@ -222,7 +222,7 @@ def mark_undecided(model: PaperModel, belief: PaperBelief) -> None:
 
 @inlined
 def may_wait(belief: PaperBelief, r: int) -> bool:
-    """Waiting makes sense while somebody else acts or is still to be decided."""
+    """Return whether a robot may wait: another robot must be acting, or still undecided."""
     for other in range(belief.robots.size):
         if other != r and (belief.robots[other].undecided or belief.robots[other].obj != NONE):
             return True

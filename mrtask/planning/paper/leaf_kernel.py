@@ -1,4 +1,6 @@
-"""What the rest of a task is worth at a leaf of `pouct_paper`'s tree: nothing, a bound on its time, a greedy rollout.
+"""Estimate the value of the rest of a task at a leaf of `pouct_paper`'s tree.
+
+It is zero, a bound on the remaining time, or the time of a greedy rollout.
 
 Legend: R robots, C containers, O objects. Sets of objects are bit masks.
 """
@@ -16,30 +18,30 @@ from mrtask.planning.shared_kernel import AUTOMATON, NONE
 
 ZERO, NEAREST, REVEALED = 0, 1, 2
 NEGLIGIBLE_PROB = 1e-12
-"""Below this the bound no longer follows what is improbable."""
+"""The bound ignores what is less probable than this."""
 
 
 class Bound(NamedTuple):
-    """Which bound a leaf has, with work space."""
+    """The kind of bound that leaves have, and scratch space for it."""
 
     kind: int  # ZERO, NEAREST or REVEALED
-    nearest_s: Floats  # [C] seconds from the nearest robot
-    order: Ints  # [C] the containers, the nearest first
+    nearest_s: Floats  # [C] seconds that the nearest robot needs
+    order: Ints  # [C] the containers, starting with the nearest
     nowhere: Floats  # [O]
-    rest_s: Floats  # [O] seconds until each object is done with
+    rest_s: Floats  # [O] seconds until each object is finished
 
 
 class Rollouts(NamedTuple):
     """The greedy policy and the world in which it finishes the task."""
 
     model: team.Model
-    world: team.World  # work space
+    world: team.World  # scratch
     greedy: GreedyPolicy
 
 
 @inlined
 def _sort_by_distance(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
-    """Fills ``nearest_s``, counting from where robots are or have arrived, and sorts ``order`` by it (insertion)."""
+    """Fill ``nearest_s``, counted from where robots are or will arrive, and sort ``order`` by it (insertion sort)."""
     for c in range(belief.containers.size):
         bound.nearest_s[c] = np.inf
     for r in range(belief.robots.size):
@@ -56,9 +58,10 @@ def _sort_by_distance(model: PaperModel, belief: PaperBelief, bound: Bound) -> N
 
 @inlined
 def _fetch_times(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
-    """Fills ``rest_s`` of the objects needed with the time of the nearest robot to the nearest container.
+    """Fill ``rest_s`` of the needed objects with the time from the nearest robot to the nearest container.
 
-    That is the mean over what may be where, given that the object exists; for NEAREST to where it may be at all.
+    This is the mean over the places where the object may be, given that it exists. For NEAREST, it is the time to the
+    nearest place where the object may be at all.
     """
     objects = model.prob.shape[1]
     wanted = model.states[belief.state[AUTOMATON]].needed
@@ -87,10 +90,11 @@ def _fetch_times(model: PaperModel, belief: PaperBelief, bound: Bound) -> None:
 
 @inlined
 def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
-    """The time to acceptance if the contents were told now and all objects were fetched at once.
+    """Return the time to acceptance if the team learned all contents now and fetched all objects at once.
 
-    Each object takes its fetch time and an interaction, or what is left of one that has begun; a set of objects as long
-    as its slowest member, or as all its interactions shared out among the robots; the task its cheapest sufficient set.
+    Each object takes its fetch time plus an interaction, or the rest of one that has begun. A set of objects takes as
+    long as its slowest member, or as all its interactions divided among the robots, whichever is longer. The task takes
+    as long as its fastest sufficient set.
     """
     z = belief.state[AUTOMATON]
     if model.states[z].accepting:
@@ -122,7 +126,10 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
 
 @inlined
 def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> None:
-    """Sets what a rollout's world holds; what searched containers hold besides is drawn, as a search shows it all."""
+    """Set the contents of a rollout's world.
+
+    A search reveals everything there, so the unknown contents of searched containers are drawn.
+    """
     containers, objects = rollouts.model.prob.shape
     world = rollouts.world
     needed, found = rollouts.model.states[belief.state[AUTOMATON]].needed, belief.state[LOCATED]
@@ -149,7 +156,7 @@ def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> None:
 
 @inlined
 def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
-    """Lets the robots of a rollout's world do what those of the belief do."""
+    """Let the robots of a rollout's world do what those of the belief do."""
     world, clock_s = rollouts.world, belief.clock[0]
     state = rollouts.model.states[belief.state[AUTOMATON]]
     for r in range(belief.robots.size):
@@ -179,7 +186,7 @@ def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
 
 @inlined
 def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> float:
-    """How long the greedy policy takes to finish the task in a world drawn from the belief."""
+    """Return how long the greedy policy takes to finish the task in a world drawn from the belief."""
     rollouts.world.clock[0] = belief.clock[0]
     rollouts.world.state[AUTOMATON] = belief.state[AUTOMATON]
     rollouts.world.state[team.HISTORY], rollouts.world.state[team.NEWS] = 0, 0
@@ -192,7 +199,10 @@ def greedy_rest_s(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> floa
 
 @inlined
 def rest_s(model: PaperModel, belief: PaperBelief, bound: Bound, rollouts: Rollouts | None, rng: UInt64s) -> float:
-    """The value of what is left to do, in seconds; without ``rollouts`` their kernel is not compiled either."""
+    """Return the value of the remaining task, in seconds.
+
+    Without ``rollouts``, their kernel is not compiled either.
+    """
     if rollouts is not None:
         return greedy_rest_s(belief, rollouts, rng)
     if bound.kind == ZERO:

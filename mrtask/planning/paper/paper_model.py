@@ -1,4 +1,4 @@
-"""A planning problem in the terms of `pouct_paper`'s compiled search."""
+"""Translate a planning problem into the terms of `pouct_paper`'s compiled search."""
 
 from typing import Any
 
@@ -24,17 +24,17 @@ from mrtask.tasks.automaton import Automaton
 MAX_OBJECTS = 30
 MAX_SETS = 4096
 MIN_PROB = 1e-6
-"""Likelihood of an object in each container open to search where the given ones say that it is nowhere, and in one that
-rounding would rule out."""
+"""The least likelihood of an object in a container that may be searched: where all likelihoods say that the object is
+nowhere, and where rounding would rule a container out."""
 
 
 def paper_model(
     problem: PlanningProblem, *, exists: bool = False, redirect: bool = False, round_decimals: int | None = None
 ) -> kernel.PaperModel:
-    """What does not change while planning; for the options see `PaperOptions`.
+    """Return the data that do not change while planning; for the options see `PaperOptions`.
 
     Raises:
-        ValueError: more task objects than the kernel's bit masks hold.
+        ValueError: the task has more objects than the kernel's bit masks hold.
     """
     objects = problem.presence_prob.shape[1]
     if objects > MAX_OBJECTS:
@@ -57,7 +57,10 @@ def paper_model(
 
 
 def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.PaperBelief:
-    """What the team knows and does now; with ``model.redirect`` robots under way decide where the problem allows it."""
+    """Return what the team knows and does now.
+
+    With ``model.redirect``, robots under way decide where the problem allows it.
+    """
     there = problem.presence_prob > 0
     root = blank_belief(problem)
     root.containers.present[:] = masks(there & problem.searched[:, None])
@@ -85,7 +88,10 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
 
 
 def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
-    """A belief of the problem's size, to be overwritten but for the robots' distances from where they are now."""
+    """Return a belief of the problem's size, to be overwritten.
+
+    Only the robots' distances from their present positions are filled in.
+    """
     (containers, objects), robots = problem.presence_prob.shape, len(problem.robots)
     return kernel.PaperBelief(
         clock=np.zeros(1),
@@ -98,7 +104,7 @@ def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
 
 
 def bound_of(problem: PlanningProblem, kind: int) -> Bound:
-    """The bound ZERO, NEAREST or REVEALED of `mrtask.planning.paper.leaf_kernel`, with its work space."""
+    """Return the bound ZERO, NEAREST or REVEALED of `mrtask.planning.paper.leaf_kernel`, with its scratch space."""
     containers, objects = problem.presence_prob.shape
     return Bound(
         kind=kind,
@@ -110,12 +116,15 @@ def bound_of(problem: PlanningProblem, kind: int) -> Bound:
 
 
 def rollouts_of(problem: PlanningProblem) -> Rollouts:
-    """The greedy policy in the problem's terms."""
+    """Return the greedy policy and its world for the problem."""
     return Rollouts(team_model(problem), blank_world(problem), policy(problem, LATER_WEIGHT))
 
 
 def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> Floats:
-    """[C, O] the likelihoods in unsearched containers. An object with none above 0 is looked for all the same."""
+    """Return the likelihoods [C, O] in unsearched containers.
+
+    An object whose likelihoods are all 0 is looked for nevertheless.
+    """
     reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
     unsearched = ~problem.searched & reachable
     prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
@@ -126,10 +135,12 @@ def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> Floats
 
 
 def sufficient_sets(automaton: Automaton) -> Ints:
-    """[Z, S] for each state the minimal sets of objects (bit masks) along which advancing steps accept; padded by -1.
+    """Return, for each state, the minimal sets of objects along which advancing steps accept.
+
+    They are bit masks, [Z, S], padded with -1.
 
     Raises:
-        ValueError: more than `MAX_SETS` minimal sets for one state.
+        ValueError: a state has more than `MAX_SETS` minimal sets.
     """
     sets: list[set[int]] = [{0} if accepting else set() for accepting in automaton.accepting]
     changed = True
@@ -151,7 +162,10 @@ def sufficient_sets(automaton: Automaton) -> Ints:
 
 
 def _put(record: Any, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
-    """Sets a robot's action under way; one that names no object (not this planner's) is taken for the first needed."""
+    """Set a robot's action under way.
+
+    An action of another planner may name no object; it counts as one for the first needed object.
+    """
     record.place = place
     record.obj = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
     record.arrive_s = arrive_s

@@ -1,11 +1,11 @@
-"""`pouct_paper`: the planner of the paper. PO-UCT over actions <container, object> with Algorithm 1's outcomes.
+"""The planner `pouct_paper`, which is the paper's: PO-UCT over actions <container, object> with Algorithm 1's outcomes.
 
 Free robots are assigned one after the other in the tree, each by UCB1 (Auer et al. 2002) over all pairs that make
-progress (`mrtask.planning.paper.action_kernel`); a leaf is worth the time so far plus a value of the rest. Wherever the
-paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch. The defaults are
-the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each switch is worth): the
-text's Algorithm 1, choice and free robots; the code's eight likeliest actions; and, ours, likelihoods that know that
-every object is somewhere.
+progress (`mrtask.planning.paper.action_kernel`). A leaf's value is the time so far plus an estimate of the remaining
+time. Wherever the paper's text, its authors' development code and our own reading differ, `PaperOptions` has a switch.
+The defaults are the reading that comes nearest to the published improvements (`pipeline.ablation` shows what each
+switch is worth). From the text they take Algorithm 1, the choice, and that only free robots decide; from the code, the
+eight likeliest actions; our own are likelihoods that know that every object is somewhere.
 """
 
 from dataclasses import dataclass, replace
@@ -45,38 +45,40 @@ GREEDY = "greedy"
 class PaperOptions(SearchOptions):
     """Options of `pouct_paper`, under ``planner.pouct_paper`` in the configuration.
 
-    "The text" is the paper (arXiv 2603.20544), "the code" its authors' public development code (RAIL-lsp-dev, branch
-    abhish/mr-task, May 2025), which is older than the text. The code's setting of each switch is named.
+    "The text" is the paper (arXiv 2603.20544). "The code" is its authors' public development code (RAIL-lsp-dev, branch
+    abhish/mr-task, May 2025), which is older than the text. Each option names the code's setting.
     """
 
     leaf: str = "revealed"
-    """What is left to do is worth at a leaf: ``zero``, nothing (the code); ``nearest``, a lower bound on the time, with
-    every object at the nearest container that may hold it (a reading of the text's "heuristic cost providing a lower
-    bound"); ``revealed``, the mean time if the contents were told now and all objects were fetched at once (ours);
-    ``greedy``, the time that the policy `greedy` takes in a world drawn from the belief (`pouct`'s)."""
+    """The value of the remaining task at a leaf. ``zero``: nothing (the code). ``nearest``: a lower bound on the time,
+    with every object at the nearest container that may hold it (a reading of the text's "heuristic cost providing a
+    lower bound"). ``revealed``: the mean time if the team learned the contents now and fetched all objects at once
+    (ours). ``greedy``: the time that the policy `greedy` takes in a world drawn from the belief (from `pouct`)."""
     exploration_unit: str = "spread"
-    """What ``exploration``, UCB1's constant, counts: ``spread``, standard deviations of the cost at the root (ours), or
+    """The unit of ``exploration``, UCB1's constant: ``spread``, standard deviations of the cost at the root (ours), or
     ``seconds``. The code's 10 grid cells of 0.05 m are 0.5 s at 1 m/s; the text does not say."""
     choice: str = "mean"
-    """The joint action taken: ``mean``, the edges of least mean cost (the text); ``visits``, the most visited ones (the
-    code), of equals the one of least cost."""
+    """The joint action that is taken. ``mean``: the edges of least mean cost (the text). ``visits``: the most visited
+    edges (the code), and of equally visited ones the one of least cost."""
     max_actions: int | None = 8
-    """Only so many actions of a robot, those of the highest P_S, stay at a node (the code: 8); an object known to be
-    there counts as 1. null: all, as the text has it."""
+    """A node keeps at most this many actions of a robot, those of the highest P_S (the code: 8). An object known to be
+    there counts as 1. null: all, as in the text."""
     avoid_targets: bool = False
-    """In a team with at least as many actions as robots, containers that other robots head for are left to them (the
+    """Whether a team with at least as many actions as robots leaves containers to the robots that head for them (the
     code), unless nothing else is left."""
     advance_when_alone: bool = False
-    """A robot whose team all waits has only actions that advance the task (the code), unless there are none."""
+    """Whether a robot has only actions that advance the task while all others wait (the code), unless it has no such
+    action."""
     round_decimals: int | None = None
-    """P_S is rounded to so many decimals; null: not (the text). The code: 2. What is possible stays possible."""
+    """The number of decimals to which P_S is rounded; null: no rounding (the text). The code: 2. An object that is
+    possible stays possible."""
     exists: bool = True
-    """P_S is conditioned on every object being somewhere: an object not located is in container k with probability
-    p_k / (1 - prod(1 - p)), over the containers where it may still be. The text says no more than that tasks are about
-    objects that are there; the code does not condition."""
+    """Whether P_S is conditioned on every object being somewhere: an object that is not located is in container k with
+    probability p_k / (1 - prod(1 - p)), over the containers where it may still be. The text says only that tasks are
+    about existing objects; the code does not condition."""
     reassign: str = "free"
-    """``free``: only free robots decide (Algorithm 1 as it stands); ``all``: after news those under way do too (the
-    code assigns everybody anew at each reveal)."""
+    """With ``free``, only free robots decide (Algorithm 1 to the letter). With ``all``, those under way decide too
+    after news (the code assigns all robots again at each reveal)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,19 +97,19 @@ class PaperOptions(SearchOptions):
 
 
 class PaperPouct(PaperOptions):
-    """The paper's search planner, made from its options: ``PaperPouct(leaf="zero")``; see the module."""
+    """The paper's search planner, made from its options: ``PaperPouct(leaf="zero")``. See the module."""
 
     knows_contents = False
 
     def warm_up(self, problem: PlanningProblem) -> None:
-        """Compiles the kernels by planning with one sample."""
+        """Compile the kernels by planning with one sample."""
         replace(self, samples=1).plan(problem, seed=0)
 
     def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Searches from the problem's belief; ``seed`` starts the random numbers of the samples.
+        """Search from the problem's belief; ``seed`` starts the samples' random numbers.
 
         Raises:
-            ValueError: more task objects than the kernel's bit masks hold.
+            ValueError: the task has more objects than the kernel's bit masks hold.
         """
         began_s = perf_counter()
         free = [index for index, robot in enumerate(problem.robots) if robot.free]
@@ -128,7 +130,7 @@ class PaperPouct(PaperOptions):
 
 
 class PaperSearch:
-    """The arrays of one search: the model, the root's belief and the tree, which `run` grows."""
+    """The arrays of one search: the model, the root's belief, and the tree, which `run` grows."""
 
     def __init__(self, problem: PlanningProblem, options: PaperOptions, seed: int) -> None:
         self.model: PaperModel = paper_model(
@@ -150,7 +152,7 @@ class PaperSearch:
         kernel.decision_node(self.root, self.tree, NONE)
 
     def run(self, samples: int) -> None:
-        """Runs so many samples."""
+        """Run this many samples."""
         kernel.run_samples(
             self.model,
             self.root,
@@ -167,7 +169,7 @@ class PaperSearch:
 
 
 def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
-    """Work space of the rules, for trees of so many nodes."""
+    """Return scratch space for the rules, for trees of up to ``nodes`` nodes."""
     return ActionLimits(
         nodes=np.recarray(nodes, dtype=LIMIT),
         ranked_prob=np.empty(rules.max_actions),
@@ -176,10 +178,10 @@ def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
 
 
 class _Choice:
-    """Which edge of a node is taken.
+    """The rule for choosing an edge of a node.
 
-    An interaction that can hurt (see `safe`) gives way to a harmless action that costs no more, as far as the samples
-    can tell: the means lie within their standard errors.
+    A harmless action replaces an interaction that can hurt (see `safe`) if it costs no more as far as the samples can
+    tell: the means lie within their standard errors.
     """
 
     def __init__(self, problem: PlanningProblem, search: PaperSearch, choice: str) -> None:
@@ -189,7 +191,7 @@ class _Choice:
         self._can_hurt = (problem.automaton.advancing & ~safe(problem.automaton))[problem.state]
 
     def edge(self, node: int, allow_wait: bool = True) -> int:
-        """The edge taken, NONE if there is none; ``allow_wait``: waiting is one."""
+        """Return the chosen edge, or NONE if the node has none; ``allow_wait`` says whether waiting may be chosen."""
         tree = self._tree
         edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT]
         best = min(edges, key=self._rank, default=NONE)
@@ -202,11 +204,14 @@ class _Choice:
         return harmless if mean_cost_s(tree, harmless) <= mean_cost_s(tree, best) + error_s else best
 
     def assignment(self, action: int) -> Assignment:
-        """What an action of the tree means."""
+        """Return the assignment that an action of the tree stands for."""
         return Assignment(WAIT, 0) if action == WAIT else Assignment(*divmod(action, self._objects))
 
     def is_settled(self, samples_left: int) -> bool:
-        """Whether the choice stays as it is, wherever the samples left go: by visits only, if no action can hurt."""
+        """Return whether the choice stays the same wherever the remaining samples go.
+
+        Only a choice by visits can be settled, and only if no action can hurt.
+        """
         return self._by_visits and not self._can_hurt.any() and is_settled(self._tree, self._deciders, samples_left)
 
     def _rank(self, edge: int) -> tuple[float, float]:
@@ -219,9 +224,9 @@ class _Choice:
 
 
 def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice) -> dict[int, Assignment]:
-    """Follows the chosen edges through the robots that decide; free ones that the tree did not reach wait.
+    """Follow the chosen edges through the robots that decide. Free robots that the tree did not reach wait.
 
-    Somebody acts if anybody can: where the whole team would wait, the first robot takes its best other action.
+    Some robot acts if any can: where the whole team would wait, the first robot takes its best other action.
     """
     tree = search.tree
     assignments = {index: Assignment(WAIT, 0) for index, robot in enumerate(problem.robots) if robot.free}

@@ -41,7 +41,7 @@ class Exploration(NamedTuple):
 
 @inlined
 def decision_node(belief: PaperBelief, tree: Tree, key: int) -> int:
-    """Adds a node for the lowest undecided robot."""
+    """Add a node for the undecided robot with the lowest number."""
     chosen = NONE
     for r in range(belief.robots.size):
         if belief.robots[r].undecided:
@@ -60,7 +60,7 @@ def _select(
     node: int,
     exploration_s: float,
 ) -> int:
-    """The edge to follow: an action not tried yet, else the best by UCB1; NONE if the robot can do nothing."""
+    """Return the edge to follow: an untried action, else the best by UCB1, or NONE if the robot can do nothing."""
     actions = model.prob.size
     if tree.nodes[node].next_untried <= actions and tree.size[EDGES] < tree.edges.size:
         action = next_action(model, belief, rules, limits, tree, node)
@@ -71,7 +71,10 @@ def _select(
 
 @inlined
 def _with_finds(belief: PaperBelief, outcome: int) -> int:
-    """The key of an outcome: finds on the way tell histories apart. Unique for teams of up to 37 robots."""
+    """Return the key of an outcome that includes the finds on the way, which tell histories apart.
+
+    Keys are unique for teams of up to 37 robots.
+    """
     key = outcome
     for r in range(belief.robots.size):
         obj = belief.robots[r].obj
@@ -98,7 +101,7 @@ def _sample(
     rollouts: Rollouts | None,
     rng: UInt64s,
 ) -> None:
-    """One sample from the root; the tree grows by a node, unless it is full."""
+    """Run one sample from the root. The tree grows by one node unless it is full."""
     copy_belief(model, root, belief)
     exploration_s = exploration.constant * (spread_s(tree) if exploration.per_spread else 1.0)
     node, depth, cost_s, at_leaf = 0, 0, 0.0, True
@@ -146,7 +149,7 @@ def run_samples(
     rng: UInt64s,
     samples: int,
 ) -> None:
-    """Runs samples from node 0, which must exist; ``belief`` is overwritten."""
+    """Run samples from node 0, which must exist; ``belief`` is overwritten."""
     model, root, belief, tree = by_reference(model), by_reference(root), by_reference(belief), by_reference(tree)
     rules, limits, exploration = by_reference(rules), by_reference(limits), by_reference(exploration)
     bound, rollouts = by_reference(bound), by_reference(rollouts)
