@@ -32,8 +32,8 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
-from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import Cluster
+from pipeline.base.specs import PlannerSpec
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_one, warm
 from pipeline.store.maps import MapOptions
 

@@ -5,31 +5,48 @@ beating the present champion. A model is trained again only when dataset, model,
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
-from pipeline import dataset
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base.config import Config
-from pipeline.inputs import training
+from pipeline.base.specs import TrainingSpec
+from pipeline.dataset import DatasetJob
+from pipeline.inputs import homes, rows, training
 from pipeline.store.records import TrainedModelRecord
 
 
-def run(config: Config, session: Session) -> TrainedModelRecord:
-    """Return the record of the trained model."""
-    wanted = training.training(config)
-    wanted.check()
-    return training.train(dataset.run(config, session), wanted)
+@dataclass(frozen=True)
+class TrainJob:
+    """Which model, and the rows to train it on."""
+
+    dataset: DatasetJob
+    training: TrainingSpec
+
+    def run(self, session: Session) -> TrainedModelRecord:
+        """Return the record of the trained model."""
+        training.check(self.training)
+        return training.train(self.dataset.run(session), self.training)
+
+    def found(self) -> TrainedModelRecord:
+        """Return the record of the model that was trained before; raises `NotMade` where there is none."""
+        spec = self.dataset.homes
+        return training.find(rows.find(homes.make(spec, None), spec.datasets_dir), self.training)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which model would be trained on which homes."""
+        training.check(self.training)
+        yield from self.dataset.outline(session)
+        what = self.training.what
+        yield f"would train {what} on the rows of the training homes, and register it, unless that is done"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which model would be trained on which homes."""
-    wanted = training.training(config)
-    wanted.check()
-    yield from dataset.outline(config, session)
-    yield f"would train {wanted.what} on the rows of the training homes, and register it, unless that is done"
+def job(config: Config) -> TrainJob:
+    """Return the configured training."""
+    return TrainJob(DatasetJob(config.homes_spec), config.training_spec)
 
 
-STAGE = Stage(run, outline, locks="never")
+STAGE = Stage(job, locks="never")
 
 if __name__ == "__main__":
     main("pipeline.train")

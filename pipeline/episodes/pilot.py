@@ -14,9 +14,9 @@ from pipeline.episodes.worker import run_one
 PILOT_S = 20.0
 
 
-def pilot(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> Iterator[str]:
+def pilot(plan: EvaluationPlan, pool: Pool) -> Iterator[str]:
     """Time some episodes and say how long all of them would take, a line for each planner and one for the whole."""
-    spent_s = _spent_s(plan, pool, episode_timeout_s)
+    spent_s = _spent_s(plan, pool)
     episodes = len(plan.keys) // len(plan.planners)
     total_s = 0.0
     for planner, pairs in spent_s.items():
@@ -28,12 +28,12 @@ def pilot(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> Iterato
     yield f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)"
 
 
-def _spent_s(plan: EvaluationPlan, pool: Pool, episode_timeout_s: float) -> dict[str, list[tuple[float, float]]]:
+def _spent_s(plan: EvaluationPlan, pool: Pool) -> dict[str, list[tuple[float, float]]]:
     """Return, by planner, the seconds of planning and of everything else in each episode of at least `PILOT_S`."""
     warm_kernels(plan.context, plan.keys)
     spent_s: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
     end_s = time.monotonic() + PILOT_S
-    for outcome in pool.run(run_one, plan.keys, plan.context, timeout_s=episode_timeout_s):
+    for outcome in pool.run(run_one, plan.keys, plan.context, timeout_s=plan.spec.options.episode_timeout_s):
         row = outcome.value if outcome is not None else None
         if row is not None and row.planning_s is not None and row.wall_s is not None:
             spent_s[row.planner].append((row.planning_s, row.wall_s - row.planning_s))

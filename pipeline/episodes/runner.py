@@ -6,7 +6,6 @@ from dataclasses import replace
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
-from pipeline.base.sections import Evaluation
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
@@ -29,14 +28,13 @@ def map_homes(context: Context, pool: Pool) -> Reach:
     return reach
 
 
-def run_episodes(
-    plan: EvaluationPlan, missing: Sequence[EpisodeKey], options: Evaluation, pool: Pool, writer: EpisodeWriter
-) -> None:
+def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool, writer: EpisodeWriter) -> None:
     """Run the missing episodes and close the writer, also on an interrupt: finished episodes stay.
 
     Raises:
         UserError: too many episodes fail.
     """
+    options = plan.spec.options
     tally = Tally(plan.planners, options.max_failed_fraction)
     warm_kernels(plan.context, missing)
     done = len(plan.keys) - len(missing)

@@ -20,7 +20,7 @@ from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
-from pipeline.base.planner_spec import PlannerSpec
+from pipeline.base.specs import PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 from pipeline.store.maps import MapOptions
 

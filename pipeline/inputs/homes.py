@@ -19,12 +19,12 @@ from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import (
     Contents,
     GeneratedHomes,
-    Homes,
     HousesInFiles,
     Procthor10kHomes,
     ProcthorHomes,
     RosMapHomes,
 )
+from pipeline.base.specs import HomesSpec
 from pipeline.store import artifacts
 from pipeline.store.artifacts import NotMade
 from pipeline.store.home_files import (
@@ -47,7 +47,7 @@ PROCTHOR_10K_ASSETS = "asset-database.json"
 _NOT_MADE = "the homes are not made yet; python -m pipeline.homes makes them"
 
 
-def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | None) -> HomeSet:
+def make(spec: HomesSpec, pool: Pool | None) -> HomeSet:
     """Return the homes, generated or read and then split, unless that was done before.
 
     Args:
@@ -59,9 +59,8 @@ def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | No
         MapError: a map cannot be read.
         VotesError: the files of the contents cannot be read.
     """
-    began_s = time.monotonic()
-    may_make = pool is not None
-    votes = _voted(contents, datasets_dir, may_make) if options.contents == "housekeep" else None
+    began_s, options, datasets_dir, may_make = time.monotonic(), spec.homes, spec.datasets_dir, pool is not None
+    votes = _voted(spec.contents, datasets_dir, may_make) if options.contents == "housekeep" else None
     maps = _read_maps(options).model_copy(update={"contents": votes}) if isinstance(options, RosMapHomes) else None
     learned_from = options.to_learn_from() if isinstance(options, RosMapHomes) else options
     houses = _houses(learned_from, datasets_dir, pool).model_copy(update={"contents": votes})
@@ -79,11 +78,12 @@ def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | No
     return HomeSet(folder, manifest, houses, maps)
 
 
-def outline(options: Homes, contents: Contents, datasets_dir: Path) -> str:
+def outline(spec: HomesSpec) -> str:
     """Return in a line which homes there are, or would be made."""
     try:
-        return f"there already: {describe(make(options, contents, datasets_dir, None).manifest)}"
+        return f"there already: {describe(make(spec, None).manifest)}"
     except NotMade:
+        options = spec.homes
         test = "the rest" if options.test is None else options.test
         return (
             f"would make or read {options.source} homes: {options.train} to train on, {options.validation} for early "

@@ -208,7 +208,7 @@ class RunIdentity(Record):
         """Return the hash that a planner's rows carry; without a planner, the hash of everything."""
         return content_hash(self.content(None if planner is None else [planner]))
 
-    def likelihood_of(self, planner: str) -> JsonObject:
+    def likelihood_of(self, planner: str) -> dict[str, Any]:
         """Return which likelihoods a planner plans with."""
         common: Any = self.evaluation["likelihood"]
         return {**common, **{key: one for key, one in self.likelihood[planner].items() if one is not None}}

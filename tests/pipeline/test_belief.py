@@ -13,7 +13,7 @@ from mrtask.likelihood.adapt import AdaptOptions, adapted, sightings_of
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
-from pipeline.base.planner_spec import PlannerSpec
+from pipeline.base.specs import PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
@@ -83,7 +83,7 @@ def test_a_belief_that_does_not_adapt_runs_each_task_by_itself(context: Context)
 
 def test_what_is_run_in_one_go(context: Context) -> None:
     every = keys(*range(6))
-    plan = EvaluationPlan(every, context, None, None, "", True, {})  # type: ignore[arg-type]
+    plan = EvaluationPlan(every, context, None, None, True, None)  # type: ignore[arg-type]
     assert plan.chains(every) == [every[:3], every[3:]]
     assert plan.chains(every[4:5]) == [every[3:]], "a chain with a gap is run from its beginning"
     off = replace(plan, context=replace(context, adapt=None))
