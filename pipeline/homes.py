@@ -41,7 +41,7 @@ class HomesJob:
 STAGE = Stage(
     lambda config: HomesJob(
         config.homes_spec,
-        MapOptions.of(config.map, config.cache_dir),
+        MapOptions(config.map, config.cache_dir),
         Folder(config.output_dir) / HOMES if config.draw else None,
     ),
     locks="to draw",

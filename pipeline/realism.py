@@ -74,7 +74,7 @@ def job(config: Config) -> RealismJob:
     return RealismJob(
         real=spec,
         generated=replace(spec, homes=_like(spec.homes, config.realism.generated_test)),
-        maps=MapOptions.of(config.map, config.cache_dir),
+        maps=MapOptions(config.map, config.cache_dir),
         presets={kind: preset(config.training_spec, kind) for kind in config.realism.models},
         seed=config.seed,
         target=Folder(config.output_dir) / REALISM,

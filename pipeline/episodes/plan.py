@@ -125,7 +125,7 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions.of(spec.map, spec.cache_dir),
+        maps=MapOptions(spec.map, spec.cache_dir),
         seed=spec.seed,
         trials=TrialOptions(
             templates=options.templates,

@@ -19,10 +19,8 @@ def map_homes(context: Context, pool: Pool) -> Reach:
     """Map all homes into the cache; return how many containers they have and how many can be reached."""
     # Compiled once here, so that the workers find the kernels in numba's cache.
     context.maps.map_of(context.homes[0])
-    containers = reachable = 0
-    for _, mapped in pool.values(map_home, range(len(context.homes)), context, unit="homes mapped"):
-        containers += mapped.containers
-        reachable += mapped.reachable
+    mapped = pool.values(map_home, range(len(context.homes)), context, unit="homes mapped")
+    containers, reachable = (sum(counts) for counts in zip(*(counts for _, counts in mapped), strict=True))
     reach = Reach(containers=containers, reachable=reachable)
     console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
     return reach

@@ -72,21 +72,10 @@ class Context:
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
 
 
-@dataclass(frozen=True)
-class MappedHome:
-    """What a home's map shows."""
-
-    home_id: str
-    size_class: str
-    containers: int
-    reachable: int
-
-
-def map_home(number: int, context: Context) -> MappedHome:
-    """Map the home of this number into the cache."""
-    home = context.homes[number]
-    reachable = context.maps.map_of(home).reachable
-    return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
+def map_home(number: int, context: Context) -> tuple[int, int]:
+    """Map the home of this number into the cache; return how many containers it has and how many can be reached."""
+    reachable = context.maps.map_of(context.homes[number]).reachable
+    return len(reachable), int(reachable.sum())
 
 
 def run_chain(

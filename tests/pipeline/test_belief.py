@@ -18,6 +18,7 @@ from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
 from pipeline.store.maps import MapOptions
+from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 
 TASKS = 3
@@ -32,7 +33,7 @@ def context(generated_homes: list[Home], tmp_path_factory: pytest.TempPathFactor
     return Context(
         homes=homes,
         table=build_table(FrequencyModel(distinct_triples(rows)), homes),
-        maps=MapOptions(0.1, 0.2, tmp_path_factory.mktemp("cache")),
+        maps=MapOptions(configured("map.resolution_m=0.1").map, tmp_path_factory.mktemp("cache")),
         seed=0,
         trials=TrialOptions(tasks_per_home=TASKS),
         planners={"learned_myopic": PlannerSpec("learned_myopic", "learned_myopic")},
