@@ -33,9 +33,8 @@ from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
 from pipeline.base.sections import Cluster, Map
-from pipeline.base.specs import PlannerSpec
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_one, warm
-from pipeline.store.maps import MapOptions
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12

@@ -77,7 +77,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
         layout.forget_episodes(folder)
-    cache.trim(spec.cache_dir, spec.cache_limit_gb * 2**30)
+    cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
     identity = _join(folder, plan.identity)
     writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
     missing = plan.missing(writer.finished())

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.base.specs import HomesSpec
+from pipeline.base.specs import HomesSpec, MapOptions
 from pipeline.inputs import homes
 from pipeline.inputs.floor_plans import draw
 from pipeline.store.folder import Folder
 from pipeline.store.layout import HOMES
-from pipeline.store.maps import MapOptions
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class HomesJob:
 STAGE = Stage(
     lambda config: HomesJob(
         config.homes_spec,
-        MapOptions(config.map, config.cache_dir),
+        config.maps,
         Folder(config.output_dir) / HOMES if config.draw else None,
     ),
     locks="to draw",

@@ -22,14 +22,13 @@ from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, UserError
 from pipeline.base.sections import GeneratedHomes, Homes, Procthor10kHomes, ProcthorHomes
-from pipeline.base.specs import HomesSpec
+from pipeline.base.specs import HomesSpec, MapOptions
 from pipeline.inputs import homes, rows
 from pipeline.inputs.floor_plans import draw_side_by_side
 from pipeline.inputs.training import preset
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
 from pipeline.store.layout import REALISM
-from pipeline.store.maps import MapOptions
 
 HOMES_TABLE, TRANSFER_TABLE = "homes.csv", "transfer.csv"
 METRICS = ("roc_auc", "log_loss", "best_log_loss")
@@ -74,7 +73,7 @@ def job(config: Config) -> RealismJob:
     return RealismJob(
         real=spec,
         generated=replace(spec, homes=_like(spec.homes, config.realism.generated_test)),
-        maps=MapOptions(config.map, config.cache_dir),
+        maps=config.maps,
         presets={kind: preset(config.training_spec, kind) for kind in config.realism.models},
         seed=config.seed,
         target=Folder(config.output_dir) / REALISM,

@@ -1,8 +1,8 @@
-"""Replays an episode as one HTML file to watch: the drives, the beliefs and the reasons, beside the results.
+"""Replays an episode in one HTML file that shows the drives, the beliefs and the reasons for each decision.
 
     python -m pipeline.replay trial_id=large-3-073 planners=[pouct,learned_myopic] output_dir=outputs/paper
 
-The trial runs again as the run in output_dir recorded it, and the result must be equal. The page is
+The trial runs again with the configuration that output_dir records, and the result must be the same. The page is
 ``<output_dir>/replays/<trial_id>.html`` and needs no network.
 """
 
@@ -40,7 +40,7 @@ MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
 Row = Mapping[str, Any]
 """A row of the results with its trace."""
 PLAYED = ("accepted", "failed")
-"""Episodes of another status broke off and left no trace."""
+"""Episodes with any other status broke off and left no trace."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,10 @@ def job(config: Config) -> ReplayJob:
 
 
 def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
-    """The trial's rows with their traces, by planner.
+    """Return the trial's rows with their traces, by planner.
 
     Raises:
-        UserError: there is no finished evaluation in the folder, or no such trial in it.
+        UserError: the folder holds no finished evaluation, or the evaluation has no such trial.
     """
     if cells := layout.cells(folder):
         listed = ", ".join(str(cell) for cell in cells)
@@ -109,7 +109,7 @@ def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
 
 
 def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) -> tuple[str, ...]:
-    """The planners to show: those asked for, else the main one and the baseline beside it."""
+    """Return the planners to show: those asked for, or by default the main planner and its baseline."""
     played = {name: row for name, row in rows.items() if row["status"] in PLAYED}
     for name in asked:
         if name not in rows:
@@ -129,10 +129,10 @@ def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) ->
 
 
 def _recorded(folder: Folder, default: Mapping[str, Any], here: Mapping[str, Any]) -> EvaluationSpec:
-    """Return the evaluation that the run had, of all planners and trials that it grew by, with this machine's cache.
+    """Return the evaluation that the folder records, with all planners and trials added later and this machine's cache.
 
     Raises:
-        UserError: there is none, or another version of the code wrote it.
+        UserError: the folder holds no finished evaluation, or another version of the code wrote it.
     """
     manifest = EvaluationManifest.read(folder, MANIFEST)
     if manifest is None:
@@ -152,10 +152,10 @@ def _recorded(folder: Folder, default: Mapping[str, Any], here: Mapping[str, Any
 
 
 def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
-    """Runs the episode of a row again.
+    """Run a row's episode again.
 
     Raises:
-        UserError: the result is another one.
+        UserError: the result differs from the row.
     """
     [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
     [chain] = plan.chains([key])

@@ -69,8 +69,9 @@ class Collected:
     @property
     def key(self) -> ReportKey:
         """The hash of all that the report depends on."""
-        code = source_hash("mrtask/analysis")
-        return ReportKey(key=content_hash([_digest(self.episodes), self.facts, _as_text(self.optimality), code]))
+        judged = sorted(map(str, self.episodes[JUDGED_COLUMNS].itertuples(index=False, name=None)))
+        optimality = None if self.optimality is None else self.optimality.to_csv(index=False)
+        return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis")]))
 
     def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
@@ -213,14 +214,6 @@ def _render(collected: Collected, target: Path) -> pd.DataFrame:
     rendered = render_report(episodes, collected.facts, drawn, collected.optimality)
     write_report(rendered, target / REPORT_INDEX)
     return rendered.table
-
-
-def _digest(episodes: pd.DataFrame) -> str:
-    return content_hash(sorted(map(str, episodes[JUDGED_COLUMNS].itertuples(index=False, name=None))))
-
-
-def _as_text(rows: pd.DataFrame | None) -> str | None:
-    return None if rows is None else rows.to_csv(index=False)
 
 
 def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:

@@ -34,7 +34,7 @@ from pipeline.base.sections import (
     Tracking,
     Trainer,
 )
-from pipeline.base.specs import EvaluationSpec, HomesSpec, PlannerSpec, TrainingSpec
+from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
 from pipeline.base.values import LocalPath, Location, Section, absolute
 
@@ -96,6 +96,11 @@ class Config(Section):
         return HomesSpec(self.homes, self.contents, self.datasets_dir)
 
     @property
+    def maps(self) -> MapOptions:
+        """How homes are mapped."""
+        return MapOptions(self.map, self.cache_dir)
+
+    @property
     def training_spec(self) -> TrainingSpec:
         """Which model to train."""
         return TrainingSpec(self.model, self.trainer, self.seed, self.tracking, self.datasets_dir, self.cache_dir)
@@ -109,7 +114,7 @@ class Config(Section):
             record=self.model_dump(mode="json"),
             experiment=self.experiment,
             seed=self.seed,
-            map=self.map,
+            maps=self.maps,
             likelihood=self.likelihood,
             perception=self.perception,
             belief=self.belief,
@@ -117,7 +122,6 @@ class Config(Section):
             output_dir=self.output_dir,
             overwrite=self.overwrite,
             dry_run=self.dry_run,
-            cache_dir=self.cache_dir,
             cache_limit_gb=self.cache_limit_gb,
         )
 

@@ -1,4 +1,4 @@
-"""What the rooms below the stages work with: homes, a training, planners and an evaluation, resolved once.
+"""What the rooms below the stages work with: homes, maps, a training, planners and an evaluation, resolved once.
 
 `pipeline.base.config.Config` makes them; no room receives the whole configuration.
 """
@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mrtask.homes.home import Home
 from mrtask.likelihood.choice import LikelihoodChoice
+from mrtask.maps.cache import cached_map
+from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import Planner
 from pipeline.base.sections import (
@@ -52,6 +55,18 @@ class HomesSpec:
 
 
 @dataclass(frozen=True)
+class MapOptions:
+    """The options of occupancy grids, and the cache that holds maps on each machine."""
+
+    grid: Map
+    cache_dir: Path
+
+    def map_of(self, home: Home) -> HomeMap:
+        """Return the home's map, from the cache if it is there."""
+        return cached_map(home, self.cache_dir / "maps", **self.grid.model_dump())
+
+
+@dataclass(frozen=True)
 class TrainingSpec:
     """What is trained, how, and where it is kept."""
 
@@ -84,7 +99,7 @@ class EvaluationSpec:
     experiment: str
     seed: int
     homes: HomesSpec
-    map: Map
+    maps: MapOptions
     options: Evaluation
     planners: tuple[PlannerSpec, ...]
     """Those to compare; they stand in for the names in ``options``."""
@@ -95,7 +110,6 @@ class EvaluationSpec:
     output_dir: str
     overwrite: bool
     dry_run: bool
-    cache_dir: Path
     cache_limit_gb: float
     record: Mapping[str, Any]
     """The whole configuration as plain data, for the record."""

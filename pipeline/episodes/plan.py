@@ -28,7 +28,6 @@ from pipeline.store.folder import Folder
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import IDENTITY
-from pipeline.store.maps import MapOptions
 from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
 from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
@@ -104,7 +103,7 @@ def load_model(spec: EvaluationSpec) -> RegisteredModel:
     if begun is not None and uri == registry.CHAMPION_URI:
         uri = registry.version_uri(begun.model_version)
     tracking = runs.open_tracking(spec.tracking.uri, spec.tracking.experiment_name)
-    return registry.load_registered(tracking, uri, spec.cache_dir)
+    return registry.load_registered(tracking, uri, spec.maps.cache_dir)
 
 
 def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredModel) -> EvaluationPlan:
@@ -125,7 +124,7 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions(spec.map, spec.cache_dir),
+        maps=spec.maps,
         seed=spec.seed,
         trials=TrialOptions(
             templates=options.templates,
@@ -227,7 +226,7 @@ def _identity(
     }
     return RunIdentity(
         seed=spec.seed,
-        map=spec.map,
+        map=spec.maps.grid,
         homes=spec.homes.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT | WHICH_ROWS)
         | {

@@ -20,9 +20,8 @@ from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
-from pipeline.base.specs import PlannerSpec
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
-from pipeline.store.maps import MapOptions
 
 MAPS_KEPT = 8
 TRIALS_KEPT = 64

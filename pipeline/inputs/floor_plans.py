@@ -11,9 +11,9 @@ from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.maps.home_map import HomeMap
 from pipeline.base import console
+from pipeline.base.specs import MapOptions
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HomeFiles, distinct_layouts
-from pipeline.store.maps import MapOptions
 
 DRAWN_PER_CLASS = 4
 GALLERY = "gallery"

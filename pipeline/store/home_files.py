@@ -9,21 +9,20 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.maps.ros_map import read_map_worlds
 from pipeline.base import console
 from pipeline.base.config import UserError
+from pipeline.base.values import Section
 from pipeline.store.voted_contents import VotedContents
 
 SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
 
 
-class _Files(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Files(Section):
     contents: VotedContents | None = None
     """What the containers hold instead of the contents in the files."""
 

@@ -13,11 +13,10 @@ from mrtask.likelihood.adapt import AdaptOptions, adapted, sightings_of
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
-from pipeline.base.specs import PlannerSpec
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
-from pipeline.store.maps import MapOptions
 from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 

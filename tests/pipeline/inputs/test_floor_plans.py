@@ -6,8 +6,8 @@ import numpy as np
 
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import build_map
+from pipeline.base.specs import MapOptions
 from pipeline.inputs.floor_plans import _examples
-from pipeline.store.maps import MapOptions
 from tests.pipeline.configured import configured
 
 
