@@ -19,9 +19,8 @@ from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash, with_overrides
 from pipeline.base.sections import OtherLikelihood, PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
-from pipeline.store import layout
 from pipeline.store.folder import Folder
-from pipeline.store.layout import EPISODES, REPORT_INDEX
+from pipeline.store.layout import EPISODES, REPORT_INDEX, RUNS
 
 Arm = tuple[str, Sequence[str]]
 """A name and the overrides, ``key=value``."""
@@ -65,7 +64,7 @@ class SharedRun:
         trials = self.config.model_dump(mode="json", include=OF_TRIALS | {"planner", "likelihood"})
         # Asked for more of the same trials, the run grows.
         trials["evaluation"] = {name: one for name, one in trials["evaluation"].items() if name not in WHICH_ROWS}
-        folder = layout.runs(Folder(self.config.output_dir), slug(self.first), content_hash(trials))
+        folder = Folder(self.config.output_dir) / RUNS / f"{slug(self.first)}-{content_hash(trials)}"
         return self.config.model_copy(
             update={"evaluation": evaluation, "planner_variants": self.variants, "output_dir": folder.location}
         )
@@ -85,15 +84,15 @@ class SharedRun:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The job of a stage that runs arms and compares them on one page."""
+    """The job of a stage that runs arms, on the evaluations that they need, and compares them on one page.
+
+    ``what`` names the stage in messages; ``render`` returns the page once all evaluations have run.
+    """
 
     what: str
-    """What the arms are part of, for messages."""
     shared: Sequence[SharedRun]
-    """The evaluations that the arms need."""
     target: Folder
     render: Callable[[Sequence[SharedRun], Session], str]
-    """Returns the page, once all have run."""
 
     @property
     def _text(self) -> str:
@@ -113,7 +112,7 @@ class Comparison:
         yield f"would compare {self._text} on one page"
         for one in self.shared:
             yield f"{', '.join(arm for arm, _ in one.arms)}:"
-            yield from evaluate.job(one.configured()).outline(session)
+            yield from evaluate.EvaluateJob(one.configured().evaluation_spec()).outline(session)
 
 
 def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> list[SharedRun]:

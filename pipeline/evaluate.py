@@ -22,11 +22,10 @@ from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError
+from pipeline.base.config import UserError
 from pipeline.base.specs import EvaluationSpec
-from pipeline.episodes.pilot import pilot
 from pipeline.episodes.plan import EvaluationPlan, check, prepare
-from pipeline.episodes.runner import map_homes, run_episodes
+from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
 from pipeline.store import cache, layout
 from pipeline.store.artifacts import NotMade
@@ -205,12 +204,7 @@ def _manifest(
     )
 
 
-def job(config: Config) -> EvaluateJob:
-    """Return the configured evaluation."""
-    return EvaluateJob(config.evaluation_spec())
-
-
-STAGE = Stage(job, compare=report.STAGE)
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), compare=report.STAGE)
 
 if __name__ == "__main__":
     main("pipeline.evaluate")

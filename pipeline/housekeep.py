@@ -36,11 +36,10 @@ Triples = tuple[pd.DataFrame, pd.DataFrame]
 
 @dataclass(frozen=True)
 class HousekeepJob:
-    """Which models, what each is trained on, and where the votes, homes and the table are."""
+    """The options of each kind of model, what they are trained on, and where the homes, votes and table are."""
 
     dataset: DatasetJob
     presets: Mapping[str, TrainingOptions]
-    """By kind of model."""
     trained_on: Sequence[TrainedOn]
     target: Folder
 
@@ -52,8 +51,8 @@ class HousekeepJob:
         if set(self.trained_on) - {"human"}:
             homes = read_dataset(self.dataset.run(session))
             data["homes"] = (homes.triples("train"), homes.triples("validation"))
-            first, second = data["human"], data["homes"]
-            data["both"] = (pd.concat([first[0], second[0]]), pd.concat([first[1], second[1]]))
+            training, stopping = (pd.concat(parts) for parts in zip(data["human"], data["homes"], strict=True))
+            data["both"] = (training, stopping)
         console.headline("housekeep", f"{len(votes['test'].objects)} objects that no model has seen")
         table = measure(self.presets, votes, {name: data[name] for name in self.trained_on})
         self.target.write(HOUSEKEEP, table.to_csv(index=False).encode())

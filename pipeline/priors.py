@@ -18,7 +18,6 @@ from mrtask.analysis.studies.calibration import Task, searched_in
 from mrtask.analysis.studies.prior_page import render_priors
 from mrtask.analysis.studies.prior_study import TRUTH, ArmRows
 from mrtask.execution.trace import Trace
-from pipeline import train
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Comparison, SharedRun, lay_out, slug
@@ -57,13 +56,11 @@ class PriorArm:
 
 @dataclass(frozen=True)
 class PriorsJob:
-    """The models to train first, and how the arms compare once they are."""
+    """The models to train first, by the contents of their homes, and how to compare the arms with their versions."""
 
     options: Priors
     trainings: Mapping[str, TrainJob]
-    """Of each kind of contents that a model is needed for."""
     compare: Callable[[Mapping[str, str]], Comparison]
-    """Lays out the arms, given the version of the model of each kind of contents."""
 
     def run(self, session: Session) -> None:
         """Train a model for every prior, run every arm and write the page."""
@@ -93,7 +90,8 @@ def job(config: Config) -> PriorsJob:
         raise UserError("evaluation.unsearched_share: priors are compared where nothing is known from the start")
     options = config.priors
     trained_on: dict[str, None] = dict.fromkeys([*options.trained_on, *(options.contents if options.others else ())])
-    trainings = {name: train.job(with_overrides(config, [f"homes.contents={name}"])) for name in trained_on}
+    homes = {name: with_overrides(config, [f"homes.contents={name}"]).homes_spec for name in trained_on}
+    trainings = {name: TrainJob(one, config.training_spec) for name, one in homes.items()}
     return PriorsJob(options, trainings, partial(_comparison, config))
 
 
@@ -144,9 +142,7 @@ def _read(shared: SharedRun, session: Session) -> dict[str, tuple[pd.DataFrame, 
             context = context or prepare(spec, session.pool).context
             console.headline("beliefs", arm)
             beliefs = _beliefs(own, names[arm][planner], shared.episodes, context, session)
-            buffer = io.BytesIO()
-            beliefs.to_parquet(buffer, index=False)
-            folder.write(file, buffer.getvalue())
+            folder.write(file, beliefs.to_parquet(None, index=False))
         found[arm] = (of_arm, beliefs)
     return found
 

@@ -38,13 +38,12 @@ ROUNDED_METRIC = "{:.4f}".format
 
 @dataclass(frozen=True)
 class RealismJob:
-    """The real homes and the generated ones, how they are mapped, and which models are trained on either."""
+    """The real homes and the generated ones, how they are mapped, and the options of each kind of model to train."""
 
     real: HomesSpec
     generated: HomesSpec
     maps: MapOptions
     presets: Mapping[str, TrainingOptions]
-    """By kind of model."""
     seed: int
     target: Folder
     draw: bool

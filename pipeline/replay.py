@@ -45,12 +45,11 @@ PLAYED = ("accepted", "failed")
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """The trial to show and by which planners, and the folder with its rows."""
+    """The trial to show and by which planners, the folder with its rows, and a way to read the evaluation it records."""
 
     options: Replay
     folder: Folder
     recorded: Callable[[], EvaluationSpec]
-    """Returns the evaluation that the folder records."""
 
     def run(self, session: Session) -> None:
         """Run the trial again and write its page."""

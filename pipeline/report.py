@@ -24,7 +24,7 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Tracking
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
@@ -225,12 +225,7 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-def job(config: Config) -> ReportJob:
-    """Return the report on the configured folder."""
-    return ReportJob(Folder(config.output_dir), config.tracking)
-
-
-STAGE = Stage(job)
+STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking))
 
 if __name__ == "__main__":
     main("pipeline.report")

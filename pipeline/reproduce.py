@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from pipeline import evaluate, report, train
+from pipeline import evaluate, report
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
@@ -19,17 +19,17 @@ from pipeline.inputs import homes, rows, training
 from pipeline.store.folder import Folder
 from pipeline.store.layout import REPORT_INDEX, STAGES
 from pipeline.store.records import StageTimes
+from pipeline.train import TrainJob
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class ReproduceJob:
-    """The stages' jobs; each one's result goes to the next."""
+    """A training and an evaluation of what it trained."""
 
-    train: train.TrainJob
+    train: TrainJob
     evaluate: evaluate.EvaluateJob
-    report: report.ReportJob
 
     def run(self, session: Session) -> None:
         """Run all stages, one after the other."""
@@ -54,8 +54,9 @@ class ReproduceJob:
         folder = Folder(spec.output_dir)
         if StageTimes.find(folder, STAGES) is None:
             StageTimes(seconds=seconds).write(folder, STAGES)
-        self.report.run(session)
-        page, total = self.report.target / REPORT_INDEX, console.duration(time.monotonic() - started_s)
+        reported = report.ReportJob(folder, spec.tracking)
+        reported.run(session)
+        page, total = reported.target / REPORT_INDEX, console.duration(time.monotonic() - started_s)
         console.headline("done", f"{spec.experiment} in {total}; open {page}, or `make dashboard` for all runs")
 
     def outline(self, session: Session) -> Iterator[str]:
@@ -66,8 +67,9 @@ class ReproduceJob:
 
 
 def job(config: Config) -> ReproduceJob:
-    """Return the jobs of the configured stages."""
-    return ReproduceJob(train.job(config), evaluate.job(config), report.job(config))
+    """Return the configured experiment."""
+    train = TrainJob(config.homes_spec, config.training_spec)
+    return ReproduceJob(train, evaluate.EvaluateJob(config.evaluation_spec()))
 
 
 STAGE = Stage(job, compare=report.STAGE)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.base.config import Config
-from pipeline.base.specs import TrainingSpec
+from pipeline.base.specs import HomesSpec, TrainingSpec
 from pipeline.dataset import DatasetJob
 from pipeline.inputs import homes, rows, training
 from pipeline.store.records import TrainedModelRecord
@@ -18,35 +17,29 @@ from pipeline.store.records import TrainedModelRecord
 
 @dataclass(frozen=True)
 class TrainJob:
-    """Which model, and the rows to train it on."""
+    """Which model, and the homes to train it on."""
 
-    dataset: DatasetJob
+    homes: HomesSpec
     training: TrainingSpec
 
     def run(self, session: Session) -> TrainedModelRecord:
         """Return the record of the trained model."""
         training.check(self.training)
-        return training.train(self.dataset.run(session), self.training)
+        return training.train(DatasetJob(self.homes).run(session), self.training)
 
     def found(self) -> TrainedModelRecord:
         """Return the record of the model that was trained before; raises `NotMade` where there is none."""
-        spec = self.dataset.homes
-        return training.find(rows.find(homes.make(spec, None), spec.datasets_dir), self.training)
+        return training.find(rows.find(homes.make(self.homes, None), self.homes.datasets_dir), self.training)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say which model would be trained on which homes."""
         training.check(self.training)
-        yield from self.dataset.outline(session)
+        yield from DatasetJob(self.homes).outline(session)
         what = self.training.what
         yield f"would train {what} on the rows of the training homes, and register it, unless that is done"
 
 
-def job(config: Config) -> TrainJob:
-    """Return the configured training."""
-    return TrainJob(DatasetJob(config.homes_spec), config.training_spec)
-
-
-STAGE = Stage(job, locks="never")
+STAGE = Stage(lambda config: TrainJob(config.homes_spec, config.training_spec), locks="never")
 
 if __name__ == "__main__":
     main("pipeline.train")
