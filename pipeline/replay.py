@@ -45,7 +45,7 @@ PLAYED = ("accepted", "failed")
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """The trial to show and by which planners, the folder with its rows, and a way to read the evaluation it records."""
+    """The trial to show and by which planners, the folder with its rows, and a way to read its configuration."""
 
     options: Replay
     folder: Folder
