@@ -28,7 +28,7 @@ class TrainJob:
         return training.train(DatasetJob(self.homes).run(session), self.training)
 
     def found(self) -> TrainedModelRecord:
-        """Return the record of the model that was trained before; raises `NotMade` where there is none."""
+        """Return the record of the model that was trained before; raises `NotMade` where none was trained."""
         return training.find(rows.find(homes.make(self.homes, None), self.homes.datasets_dir), self.training)
 
     def outline(self, session: Session) -> Iterator[str]:

@@ -94,7 +94,7 @@ def outline(spec: HomesSpec) -> str:
 
 
 def _refuse_in_dry_run(pool: Pool | None) -> Pool:
-    """Return the pool where homes must be made or downloaded; raises `NotMade` where there is none."""
+    """Return the pool where homes must be made or downloaded; raises `NotMade` where no pool is given."""
     if pool is None:
         raise NotMade("the homes are not made yet; python -m pipeline.homes makes them")
     return pool
