@@ -32,10 +32,9 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
 from pipeline.backends.pool import Pool
-from pipeline.base.planner_spec import PlannerSpec
-from pipeline.base.sections import Cluster
+from pipeline.base.sections import Cluster, Map
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_one, warm
-from pipeline.store.maps import MapOptions
 
 PLANNER = "pouct"
 TRAINING_HOMES, EVALUATION_HOMES = 15, 12
@@ -94,7 +93,7 @@ def make_context(samples: int) -> Context:
     return Context(
         homes=evaluated,
         table=build_table(model, homes),
-        maps=MapOptions(resolution_m=0.05, robot_radius_m=0.2, cache_dir=default_cache_dir()),
+        maps=MapOptions(Map(resolution_m=0.05, robot_radius_m=0.2, ways="shortest"), default_cache_dir()),
         seed=0,
         trials=TrialOptions(),
         planners={PLANNER: PlannerSpec(PLANNER, PLANNER, {"samples": samples})},

@@ -6,15 +6,15 @@ them; "authors - x" without one; and the steps from the paper's text to our plan
 `pipeline.arms` says how arms share evaluations.
 """
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 
 from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.arms import Arm, SharedRun, lay_out, write_page
+from pipeline.arms import Comparison, SharedRun, lay_out
 from pipeline.base.config import Config
 from pipeline.base.studies import Ablation
 from pipeline.store.episode_row import TRACE
@@ -38,24 +38,11 @@ class Protocol:
     """The arm from which it differs by one switch."""
 
 
-def run(config: Config, session: Session) -> None:
-    """Run every arm and write the page."""
-    began_s = time.monotonic()
+def job(config: Config) -> Comparison:
+    """Lay out every arm."""
     arms = protocols(config.ablation)
-    comparison = lay_out(config, _overrides(arms), COMPARED, WHAT)
-    comparison.run(session)
-    found = {arm.name: arm for one in comparison.shared for arm in _arm_rows(one, arms)}
-    page = render_ablation([found[arm.name] for arm in arms], config.experiment)
-    write_page(Folder(config.output_dir) / REPORT, page, began_s)
-
-
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which evaluations the arms would need."""
-    yield from lay_out(config, _overrides(protocols(config.ablation)), COMPARED, WHAT).outline(session)
-
-
-def _overrides(arms: Sequence[Protocol]) -> list[Arm]:
-    return [(arm.name, arm.overrides) for arm in arms]
+    shared = lay_out(config, [(arm.name, arm.overrides) for arm in arms], COMPARED, WHAT)
+    return Comparison(WHAT, shared, Folder(config.output_dir) / REPORT, partial(_page, arms, config.experiment))
 
 
 def protocols(ablation: Ablation) -> list[Protocol]:
@@ -76,7 +63,12 @@ def protocols(ablation: Ablation) -> list[Protocol]:
     return found
 
 
-def _arm_rows(shared: SharedRun, arms: list[Protocol]) -> Iterator[ArmRows]:
+def _page(arms: Sequence[Protocol], experiment: str, shared: Sequence[SharedRun], session: Session) -> str:
+    found = {arm.name: arm for one in shared for arm in _arm_rows(one, arms)}
+    return render_ablation([found[arm.name] for arm in arms], experiment)
+
+
+def _arm_rows(shared: SharedRun, arms: Sequence[Protocol]) -> Iterator[ArmRows]:
     rows = read_episodes(shared.episodes)
     traces = read_traces(shared.episodes, set(rows["trial_id"]))
     traces[WAITS] = traces.pop(TRACE).map(waiting_shares, na_action="ignore").astype(object)
@@ -86,7 +78,7 @@ def _arm_rows(shared: SharedRun, arms: list[Protocol]) -> Iterator[ArmRows]:
         yield ArmRows(name, of_arm, arm.overrides, arm.in_detail, arm.is_step, arm.against)
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(job)
 
 if __name__ == "__main__":
     main("pipeline.ablation")

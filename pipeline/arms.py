@@ -8,8 +8,8 @@ missing.
 
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
 import pandas as pd
 
@@ -17,11 +17,10 @@ from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash, with_overrides
-from pipeline.base.sections import PlannerVariant
+from pipeline.base.sections import OtherLikelihood, PlannerVariant
 from pipeline.episodes.plan import WHICH_ROWS
-from pipeline.store import layout
 from pipeline.store.folder import Folder
-from pipeline.store.layout import EPISODES, REPORT_INDEX
+from pipeline.store.layout import EPISODES, REPORT_INDEX, RUNS
 
 Arm = tuple[str, Sequence[str]]
 """A name and the overrides, ``key=value``."""
@@ -51,7 +50,9 @@ class SharedRun:
         """Add an arm; a planner that equals one of an earlier arm shares its rows."""
         names = {}
         for planner in planners:
-            variant = PlannerVariant.of(config.spec(planner))
+            spec = config.spec(planner)
+            likelihood = OtherLikelihood(**asdict(spec.likelihood))
+            variant = PlannerVariant(planner=spec.planner, options=dict(spec.options), likelihood=likelihood)
             known = next((name for name, other in self.variants.items() if other == variant), None)
             names[planner] = known or f"{planner}:{slug(arm)}"
             self.variants[names[planner]] = variant
@@ -63,7 +64,7 @@ class SharedRun:
         trials = self.config.model_dump(mode="json", include=OF_TRIALS | {"planner", "likelihood"})
         # Asked for more of the same trials, the run grows.
         trials["evaluation"] = {name: one for name, one in trials["evaluation"].items() if name not in WHICH_ROWS}
-        folder = layout.runs(Folder(self.config.output_dir), slug(self.first), content_hash(trials))
+        folder = Folder(self.config.output_dir) / RUNS / f"{slug(self.first)}-{content_hash(trials)}"
         return self.config.model_copy(
             update={"evaluation": evaluation, "planner_variants": self.variants, "output_dir": folder.location}
         )
@@ -83,34 +84,38 @@ class SharedRun:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All arms of a stage, laid out on the evaluations that they need."""
+    """The job of a stage that runs arms, on the evaluations that they need, and compares them on one page.
+
+    ``what`` names the stage in messages; ``render`` returns the page once all evaluations have run.
+    """
 
     what: str
-    """What the arms are part of, for messages."""
-    arms: int
     shared: Sequence[SharedRun]
+    target: Folder
+    render: Callable[[Sequence[SharedRun], Session], str]
+
+    @property
+    def _text(self) -> str:
+        return f"{sum(len(one.arms) for one in self.shared)} arms in {len(self.shared)} evaluations"
 
     def run(self, session: Session) -> None:
-        """Run the evaluations."""
-        console.headline(self.what, f"{self.arms} arms in {len(self.shared)} evaluations")
+        """Run the evaluations and write the page."""
+        began_s = time.monotonic()
+        console.headline(self.what, self._text)
         for one in self.shared:
             evaluate.STAGE.start(one.configured(), session)
+        self.target.write(REPORT_INDEX, self.render(self.shared, session).encode())
+        console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say what would run, with a pilot of each evaluation."""
-        yield f"would compare {self.arms} arms in {len(self.shared)} evaluations on one page"
+        yield f"would compare {self._text} on one page"
         for one in self.shared:
             yield f"{', '.join(arm for arm, _ in one.arms)}:"
-            yield from evaluate.outline(one.configured(), session)
+            yield from evaluate.EvaluateJob(one.configured().evaluation_spec()).outline(session)
 
 
-def write_page(folder: Folder, page: str, began_s: float) -> None:
-    """Write the page that compares the arms, and say where it is and how long the stage took."""
-    folder.write(REPORT_INDEX, page.encode())
-    console.result(folder / REPORT_INDEX, time.monotonic() - began_s)
-
-
-def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> Comparison:
+def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: str) -> list[SharedRun]:
     """Lay out the arms of ``what`` on as few evaluations as possible.
 
     Raises:
@@ -128,7 +133,7 @@ def lay_out(config: Config, arms: Sequence[Arm], planners: Sequence[str], what: 
         common = armed.model_copy(update={"planner": config.planner, "likelihood": config.likelihood})
         shared = SharedRun(common, arm)
         runs.setdefault(shared.trials_key, shared).add(arm, armed, planners)
-    return Comparison(what, len(arms), list(runs.values()))
+    return list(runs.values())
 
 
 def slug(name: str) -> str:

@@ -5,27 +5,32 @@ split or code have changed.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.base.config import Config
+from pipeline.base.specs import HomesSpec
 from pipeline.inputs import homes, rows
 
 
-def run(config: Config, session: Session) -> Path:
-    """Return the folder of the dataset of the configured homes."""
-    home_set = homes.make(config.homes, config.contents, config.datasets_dir, session.pool)
-    return rows.build(home_set, config.datasets_dir, session.pool)
+@dataclass(frozen=True)
+class DatasetJob:
+    """The homes to label."""
+
+    homes: HomesSpec
+
+    def run(self, session: Session) -> Path:
+        """Return the folder of the homes' dataset."""
+        return rows.build(homes.make(self.homes, session.pool), self.homes.datasets_dir, session.pool)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say of which homes the rows would be."""
+        yield homes.outline(self.homes)
+        yield "would label which of their containers hold which objects"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say of which homes the rows would be."""
-    yield homes.outline(config.homes, config.contents, config.datasets_dir)
-    yield "would label which of their containers hold which objects"
-
-
-STAGE = Stage(run, outline, locks="never")
+STAGE = Stage(lambda config: DatasetJob(config.homes_spec), locks="never")
 
 if __name__ == "__main__":
     main("pipeline.dataset")

@@ -10,6 +10,7 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from mrtask.analysis.page.style import planner_label
@@ -21,93 +22,78 @@ from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError
-from pipeline.base.sections import Evaluation
-from pipeline.episodes.pilot import pilot
-from pipeline.episodes.plan import EvaluationPlan, check
-from pipeline.episodes.prepare import prepare
-from pipeline.episodes.runner import map_homes, run_episodes
+from pipeline.base.config import UserError
+from pipeline.base.specs import EvaluationSpec
+from pipeline.episodes.plan import EvaluationPlan, check, prepare
+from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
 from pipeline.store import cache, layout
 from pipeline.store.artifacts import NotMade
 from pipeline.store.folder import Folder
 from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
-from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity, TrainedModelRecord
+from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity
 from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
 from pipeline.store.version import package_versions
 
 
-def run(config: Config, session: Session) -> None:
-    """Run the configured evaluation."""
-    evaluate(prepare(config, session.pool), config, session)
+@dataclass(frozen=True)
+class EvaluateJob:
+    """The evaluation."""
+
+    spec: EvaluationSpec
+
+    def run(self, session: Session) -> None:
+        """Run the episodes that are missing."""
+        evaluate(prepare(self.spec, session.pool), session)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say how many episodes would run, and for how long, from a short pilot."""
+        options = self.spec.options
+        check(options)
+        trials = options.trials_per_cell * len(options.size_classes) * len(options.robots)
+        planners = len(self.spec.planners)
+        yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
+        try:
+            plan = prepare(self.spec, session.pool)
+        except NotMade as missing:
+            yield f"{missing}; then a dry run can say how long they take"
+        else:
+            yield from pilot(plan, session.pool)
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say how many episodes would run, and for how long, from a short pilot."""
-    options = config.evaluation
-    check(options)
-    trials, planners = options.trials_per_cell * len(options.size_classes) * len(options.robots), len(options.planners)
-    yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
-    try:
-        plan = prepare(config, session.pool)
-    except NotMade as missing:
-        yield f"{missing}; then a dry run can say how long they take"
-    else:
-        yield from pilot(plan, session.pool, options.episode_timeout_s)
+def evaluate(plan: EvaluationPlan, session: Session) -> None:
+    """Run the episodes that the plan's folder lacks as one MLflow run, and leave the evaluation's manifest.
 
-
-def evaluate(plan: EvaluationPlan, config: Config, session: Session) -> None:
-    """Run a plan in the output folder."""
-    total, planners = len(plan.keys), len(plan.planners)
+    Raises:
+        UserError: the run would change rows that the folder holds, or too many episodes fail.
+    """
+    spec, total, planners = plan.spec, len(plan.keys), len(plan.planners)
     console.headline(
         "evaluate",
         f"{total // planners} trials x {planners} planners = {total} episodes, "
         f"model version {plan.identity.model_version}",
     )
-    folder = Folder(config.output_dir)
-    if config.overwrite:
+    began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
+    if spec.overwrite:
         layout.forget_episodes(folder)
-    trained = find_record(config.datasets_dir, config.tracking.uri, plan.identity.model_version)
-    cache.trim(config.cache_dir, config.cache_limit_gb * 2**30)
-    tracking = runs.open_tracking(config.tracking.uri, config.tracking.experiment_name)
-    finish(plan, folder, config.evaluation, session, tracking, trained)
-
-
-def finish(
-    plan: EvaluationPlan,
-    folder: Folder,
-    options: Evaluation,
-    session: Session,
-    tracking: runs.Tracking,
-    trained: TrainedModelRecord | None,
-) -> None:
-    """Run the episodes that the folder lacks as one MLflow run, and leave the evaluation's manifest.
-
-    Args:
-        trained: the record of the model's training, where it was trained here.
-
-    Raises:
-        UserError: the run would change rows that the folder holds, or too many episodes fail.
-    """
-    began_s, started = time.monotonic(), datetime.now(UTC)
+    cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
     identity = _join(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, options.rerun, plan.identity.row_keys())
+    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
     missing = plan.missing(writer.finished())
     earlier = EvaluationManifest.find(folder, MANIFEST)
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
         console.skipped(folder / EPISODES)
         return
-    if len(missing) < len(plan.keys):
-        console.line(f"{len(plan.keys) - len(missing)} episodes are there already")
+    if len(missing) < total:
+        console.line(f"{total - len(missing)} episodes are there already")
     session.pool.start()
-    with _tracked(plan, folder, session.cell, tracking) as run:
+    with _tracked(plan, folder, session.cell) as run:
         reach = map_homes(plan.context, session.pool)
-        run_episodes(plan, missing, options, session.pool, writer)
+        run_episodes(plan, missing, session.pool, writer)
         manifest = _manifest(
-            plan, identity, folder, trained, reach, Machine.here(session.pool.slots),
-            started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id, sweep=session.cell.text,
-        )  # fmt: skip
+            plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
+        )
         runs.log_metrics(run, _metrics(folder / EPISODES))
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
@@ -140,9 +126,10 @@ def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
 
 
 @contextlib.contextmanager
-def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, tracking: runs.Tracking) -> Iterator[runs.Run]:
+def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.Run]:
     """Begin the MLflow run, and end one that a killed driver has left open."""
-    params = {key: value for key, value in plan.config.items() if key not in ("cluster", "tracking")}
+    tracking = runs.open_tracking(plan.spec.tracking.uri, plan.spec.tracking.experiment_name)
+    params = {key: value for key, value in plan.spec.record.items() if key not in ("cluster", "tracking")}
     tags = {
         "stage": "evaluate",
         "model_version": plan.identity.model_version,
@@ -152,7 +139,7 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell, tracking: runs.Tr
     }
     if (earlier := folder.read(RUN_ID)) is not None:
         runs.end_abandoned(tracking, earlier.decode())
-    name = cell.title or f"evaluate {plan.experiment}"
+    name = cell.title or f"evaluate {plan.spec.experiment}"
     with runs.run(tracking, name, params, tags, cell.parent_run_id) as run:
         folder.write(RUN_ID, run.run_id.encode())
         yield run
@@ -181,45 +168,43 @@ def _metrics(episodes: Folder) -> dict[str, float]:
 def _manifest(
     plan: EvaluationPlan,
     identity: RunIdentity,
-    folder: Folder,
-    trained: TrainedModelRecord | None,
-    reach: Reach,
-    machine: Machine,
+    session: Session,
     *,
+    reach: Reach,
     started: datetime,
     wall_s: float,
     run_id: str,
-    sweep: str,
 ) -> EvaluationManifest:
-    made_by = plan.context.provenance
-    peaks_mb = read_table(folder / EPISODES, ["peak_memory_mb"]).to_pandas()["peak_memory_mb"]
+    spec, made_by = plan.spec, plan.context.provenance
+    episodes = Folder(spec.output_dir) / EPISODES
+    peaks_mb = read_table(episodes, ["peak_memory_mb"]).to_pandas()["peak_memory_mb"]
     return EvaluationManifest(
-        experiment=plan.experiment,
-        seed=plan.context.seed,
-        output_dir=folder.location,
+        experiment=spec.experiment,
+        seed=spec.seed,
+        output_dir=spec.output_dir,
         planners=tuple(identity.planner),
         planner_options=identity.planner,
         expected_episodes=len(identity.row_keys()),
-        config=plan.config,
+        config=spec.record,
         model_version=made_by.model_version,
         config_hash=identity.config_hash(),
         code_version=made_by.code_version,
-        model=trained,
+        model=find_record(spec.homes.datasets_dir, spec.tracking.uri, made_by.model_version),
         model_name=registry.MODEL_NAME,
         homes=plan.homes,
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,
-        machine=machine,
+        machine=Machine.here(session.pool.slots),
         packages=package_versions(),
         peak_memory_mb=round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,
         started=started.isoformat(timespec="seconds"),
         wall_s=round(wall_s, 1),
         run_id=run_id,
-        sweep=sweep,
+        sweep=session.cell.text,
     )
 
 
-STAGE = Stage(run, outline, compare_cells=report.compare_cells)
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), compare=report.STAGE)
 
 if __name__ == "__main__":
     main("pipeline.evaluate")

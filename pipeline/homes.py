@@ -7,33 +7,44 @@ any of them with what people put where.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.base.config import Config
+from pipeline.base.specs import HomesSpec, MapOptions
 from pipeline.inputs import homes
 from pipeline.inputs.floor_plans import draw
 from pipeline.store.folder import Folder
-from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import HOMES
-from pipeline.store.maps import MapOptions
 
 
-def run(config: Config, session: Session) -> HomeSet:
-    """Return the homes; with ``draw=true`` also draw floor plans of some in ``<output_dir>/homes``."""
-    home_set = homes.make(config.homes, config.contents, config.datasets_dir, session.pool)
-    if config.draw:
-        maps = MapOptions.of(config.map, config.cache_dir)
-        draw(home_set.evaluated, config.homes.source, maps, Folder(config.output_dir) / HOMES)
-    return home_set
+@dataclass(frozen=True)
+class HomesJob:
+    """Which homes, and the folder of their floor plans where they are drawn."""
+
+    homes: HomesSpec
+    maps: MapOptions
+    drawn_to: Folder | None
+
+    def run(self, session: Session) -> None:
+        """Make or read the homes; draw floor plans of some of them."""
+        home_set = homes.make(self.homes, session.pool)
+        if self.drawn_to is not None:
+            draw(home_set.evaluated, self.homes.homes.source, self.maps, self.drawn_to)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which homes would be made or read."""
+        yield homes.outline(self.homes)
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which homes would be made or read."""
-    yield homes.outline(config.homes, config.contents, config.datasets_dir)
-
-
-STAGE = Stage(run, outline, locks="to draw")
+STAGE = Stage(
+    lambda config: HomesJob(
+        config.homes_spec,
+        config.maps,
+        Folder(config.output_dir) / HOMES if config.draw else None,
+    ),
+    locks="to draw",
+)
 
 if __name__ == "__main__":
     main("pipeline.homes")

@@ -6,7 +6,8 @@ over pairs of object and room), ``map_val`` that on the validation objects, by w
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 
@@ -15,13 +16,13 @@ from mrtask.likelihood.dataset import read_dataset
 from mrtask.likelihood.housekeep import PUBLISHED, mean_average_precision, predict_votes, vote_triples
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import fit, score
-from pipeline import dataset
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, UserError
-from pipeline.base.sections import Homes
-from pipeline.inputs.training import training
+from pipeline.base.studies import TrainedOn
+from pipeline.dataset import DatasetJob
+from pipeline.inputs.training import preset
 from pipeline.store.folder import Folder
 from pipeline.store.layout import HOUSEKEEP
 from pipeline.store.voted_contents import votes_by_split
@@ -33,32 +34,43 @@ Triples = tuple[pd.DataFrame, pd.DataFrame]
 """For training, and for early stopping."""
 
 
-def run(config: Config, session: Session) -> None:
-    """Train the models and write the table."""
-    began_s = time.monotonic()
-    _check(config.homes)
-    votes = votes_by_split(config.contents, config.datasets_dir)
-    data = {"human": (vote_triples(votes["train"]), vote_triples(votes["val"]))}
-    if set(config.housekeep.trained_on) - {"human"}:
-        homes = read_dataset(dataset.run(config, session))
-        data["homes"] = (homes.triples("train"), homes.triples("validation"))
-        first, second = data["human"], data["homes"]
-        data["both"] = (pd.concat([first[0], second[0]]), pd.concat([first[1], second[1]]))
-    options: dict[str, TrainingOptions] = {kind: training(config).preset(kind) for kind in config.housekeep.models}
-    console.headline("housekeep", f"{len(votes['test'].objects)} objects that no model has seen")
-    table = measure(options, votes, {name: data[name] for name in config.housekeep.trained_on})
-    target = Folder(config.output_dir)
-    target.write(HOUSEKEEP, table.to_csv(index=False).encode())
-    console.text(table.to_string(index=False, float_format=ROUNDED))
-    console.line("published: " + ", ".join(f"{name} {value:.3f}" for name, value in PUBLISHED.items()))
-    console.result(target / HOUSEKEEP, time.monotonic() - began_s)
+@dataclass(frozen=True)
+class HousekeepJob:
+    """The options of each kind of model, what they are trained on, and where the homes, votes and table are."""
+
+    dataset: DatasetJob
+    presets: Mapping[str, TrainingOptions]
+    trained_on: Sequence[TrainedOn]
+    target: Folder
+
+    def run(self, session: Session) -> None:
+        """Train the models and write the table."""
+        began_s = time.monotonic()
+        votes = votes_by_split(self.dataset.homes.contents, self.dataset.homes.datasets_dir)
+        data = {"human": (vote_triples(votes["train"]), vote_triples(votes["val"]))}
+        if set(self.trained_on) - {"human"}:
+            homes = read_dataset(self.dataset.run(session))
+            data["homes"] = (homes.triples("train"), homes.triples("validation"))
+            training, stopping = (pd.concat(parts) for parts in zip(data["human"], data["homes"], strict=True))
+            data["both"] = (training, stopping)
+        console.headline("housekeep", f"{len(votes['test'].objects)} objects that no model has seen")
+        table = measure(self.presets, votes, {name: data[name] for name in self.trained_on})
+        self.target.write(HOUSEKEEP, table.to_csv(index=False).encode())
+        console.text(table.to_string(index=False, float_format=ROUNDED))
+        console.line("published: " + ", ".join(f"{name} {value:.3f}" for name, value in PUBLISHED.items()))
+        console.result(self.target / HOUSEKEEP, time.monotonic() - began_s)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which models would be trained on what."""
+        yield f"would train {', '.join(self.presets)} on {', '.join(self.trained_on)} and write {HOUSEKEEP}"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which models would be trained on what."""
-    _check(config.homes)
-    options = config.housekeep
-    yield f"would train {', '.join(options.models)} on {', '.join(options.trained_on)} and write {HOUSEKEEP}"
+def job(config: Config) -> HousekeepJob:
+    """Return the configured measurement; raises `UserError` where models would see the test objects in homes."""
+    if (contents := config.homes.contents) != "procthor":
+        raise UserError(f"homes.contents={contents}: models may not see the test objects in homes; use procthor")
+    presets: dict[str, TrainingOptions] = {kind: preset(config.training_spec, kind) for kind in config.housekeep.models}
+    return HousekeepJob(DatasetJob(config.homes_spec), presets, config.housekeep.trained_on, Folder(config.output_dir))
 
 
 def measure(
@@ -77,14 +89,7 @@ def measure(
     return pd.DataFrame(rows, columns=["model", "trained_on", "map", "map_val", "pairs", *METRICS])
 
 
-def _check(options: Homes) -> None:
-    if options.contents != "procthor":
-        raise UserError(
-            f"homes.contents={options.contents}: models may not see the test objects in homes; use procthor"
-        )
-
-
-STAGE = Stage(run, outline)
+STAGE = Stage(job)
 
 if __name__ == "__main__":
     main("pipeline.housekeep")

@@ -17,8 +17,10 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import ItemError, Pool
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, content_hash
-from pipeline.episodes.prepare import prepare
+from pipeline.base.config import UserError, content_hash
+from pipeline.base.specs import EvaluationSpec
+from pipeline.base.studies import Optimality
+from pipeline.episodes.plan import prepare
 from pipeline.episodes.studies import assess_trial
 from pipeline.episodes.worker import Context, EpisodeKey, warm
 from pipeline.store.artifacts import NotMade
@@ -55,37 +57,40 @@ class Work:
         return f"{len(self.keys)} trials, each in {self.worlds} worlds, model version {version}"
 
 
-def run(config: Config, session: Session) -> None:
-    """Assess the trials that are missing and write the table."""
-    began_s, target = time.monotonic(), Folder(config.output_dir)
-    work = _work(config, session.pool)
-    console.headline("optimality", work.text)
-    if not work.missing:
-        console.skipped(target / OPTIMALITY)
-        return
-    rows = _assess_all(work, session.pool, target)
-    for cell in summarise_optimality(pd.DataFrame(rows)):
-        console.line(_said(cell))
-    console.result(target / OPTIMALITY, time.monotonic() - began_s)
+@dataclass(frozen=True)
+class OptimalityJob:
+    """The planners and trials, and how many of the trials are assessed in how many worlds."""
 
+    spec: EvaluationSpec
+    options: Optimality
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say how many trials would be assessed."""
-    try:
-        work = _work(config, session.pool)
-    except NotMade as missing:
-        yield f"would assess {config.optimality.trials_per_cell} trials a cell; {missing}"
-    else:
-        yield f"would assess {work.text}; {len(work.finished)} are done"
+    def run(self, session: Session) -> None:
+        """Assess the trials that are missing and write the table."""
+        began_s, target = time.monotonic(), Folder(self.spec.output_dir)
+        work = self._work(session.pool)
+        console.headline("optimality", work.text)
+        if not work.missing:
+            console.skipped(target / OPTIMALITY)
+            return
+        rows = _assess_all(work, session.pool, target)
+        for cell in summarise_optimality(pd.DataFrame(rows)):
+            console.line(_said(cell))
+        console.result(target / OPTIMALITY, time.monotonic() - began_s)
 
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say how many trials would be assessed."""
+        try:
+            work = self._work(session.pool)
+        except NotMade as missing:
+            yield f"would assess {self.options.trials_per_cell} trials a cell; {missing}"
+        else:
+            yield f"would assess {work.text}; {len(work.finished)} are done"
 
-def _work(config: Config, pool: Pool) -> Work:
-    options = config.optimality
-    measured = config.evaluation.model_copy(update={"planners": options.planners})
-    plan = prepare(config.model_copy(update={"evaluation": measured}), pool)
-    hashed = content_hash([plan.identity.content(), options.worlds, source_hash("mrtask/bounds")])
-    keys = [key for key in plan.keys if key.number < options.trials_per_cell]
-    return Work(keys, plan.context, options.worlds, hashed, _finished(Folder(config.output_dir), hashed))
+    def _work(self, pool: Pool) -> Work:
+        plan, worlds = prepare(self.spec, pool), self.options.worlds
+        hashed = content_hash([plan.identity.content(), worlds, source_hash("mrtask/bounds")])
+        keys = [key for key in plan.keys if key.number < self.options.trials_per_cell]
+        return Work(keys, plan.context, worlds, hashed, _finished(Folder(self.spec.output_dir), hashed))
 
 
 def _finished(folder: Folder, hashed: str) -> list[dict[str, Any]]:
@@ -133,7 +138,7 @@ def _percent(estimate: Estimate) -> str:
     return f"{estimate.value:.1f} %{interval}"
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(lambda config: OptimalityJob(config.evaluation_spec(config.optimality.planners), config.optimality))
 
 if __name__ == "__main__":
     main("pipeline.optimality")

@@ -7,9 +7,9 @@ share evaluations stands in `pipeline.arms`.
 """
 
 import io
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import pandas as pd
 
@@ -18,23 +18,22 @@ from mrtask.analysis.studies.calibration import Task, searched_in
 from mrtask.analysis.studies.prior_page import render_priors
 from mrtask.analysis.studies.prior_study import TRUTH, ArmRows
 from mrtask.execution.trace import Trace
-from pipeline import train
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.arms import Arm, SharedRun, lay_out, slug, write_page
+from pipeline.arms import Comparison, SharedRun, lay_out, slug
 from pipeline.backends import registry
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, with_overrides
 from pipeline.base.studies import Priors
-from pipeline.episodes.prepare import prepare
+from pipeline.episodes.plan import prepare
 from pipeline.episodes.studies import HomeTasks, beliefs_in_home
 from pipeline.episodes.worker import Context
-from pipeline.inputs import homes, rows, training
 from pipeline.store.artifacts import NotMade
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder
 from pipeline.store.layout import BELIEFS, REPORT
 from pipeline.store.rows import read_episodes, read_traces
+from pipeline.train import TrainJob
 
 WHAT = "priors"
 UNTRAINED = {"uniform": "likelihood.uniform_mix=1.0", TRUTH: "likelihood.source=truth"}
@@ -55,56 +54,63 @@ class PriorArm:
         return " ".join([self.contents, self.prior, *(["adapting"] if self.adapts else [])])
 
 
-def run(config: Config, session: Session) -> None:
-    """Train a model for every prior, run every arm and write the page."""
-    began_s = time.monotonic()
-    versions = {name: train.run(one, session).model_version for name, one in _trainings(config)}
-    tasks_per_home = config.evaluation.tasks_per_home
-    arms = arms_of(config.priors, tasks_per_home, versions)
-    comparison = lay_out(config, _overrides(arms), config.evaluation.planners, WHAT)
-    comparison.run(session)
-    found: dict[str, tuple[pd.DataFrame, pd.DataFrame]] = {}
-    for one in comparison.shared:
-        found |= _read(one, session)
-    compared = [ArmRows(arm.contents, arm.prior, arm.adapts, *found[arm.name], arm.overrides) for arm in arms]
-    page = render_priors(compared, tasks_per_home, config.experiment)
-    write_page(Folder(config.output_dir) / REPORT, page, began_s)
+@dataclass(frozen=True)
+class PriorsJob:
+    """The models to train first, by the contents of their homes, and how to compare the arms with their versions."""
+
+    options: Priors
+    trainings: Mapping[str, TrainJob]
+    compare: Callable[[Mapping[str, str]], Comparison]
+
+    def run(self, session: Session) -> None:
+        """Train a model for every prior, run every arm and write the page."""
+        self.compare({name: one.run(session).model_version for name, one in self.trainings.items()}).run(session)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which models would be trained, and once they are, which evaluations the arms would need."""
+        versions = {}
+        for name, one in self.trainings.items():
+            try:
+                versions[name] = one.found().model_version
+            except NotMade as missing:
+                yield f"would first train a model on homes with homes.contents={name} ({missing})"
+        if len(versions) == len(self.trainings):
+            yield from self.compare(versions).outline(session)
+        else:
+            priors = [*self.options.trained_on, *self.options.others]
+            yield f"would then compare the priors {', '.join(priors)} on one page"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which models would be trained, and once they are, which evaluations the arms would need."""
-    versions = {}
-    for name, one in _trainings(config):
-        try:
-            versions[name] = _trained_version(one)
-        except NotMade as missing:
-            yield f"would first train a model on homes with homes.contents={name} ({missing})"
-    if len(versions) == len(_trainings(config)):
-        arms = _overrides(arms_of(config.priors, config.evaluation.tasks_per_home, versions))
-        yield from lay_out(config, arms, config.evaluation.planners, WHAT).outline(session)
-    else:
-        priors = [*config.priors.trained_on, *config.priors.others]
-        yield f"would then compare the priors {', '.join(priors)} on one page"
-
-
-def _trainings(config: Config) -> list[tuple[str, Config]]:
-    """Return, for each kind of contents that a model is needed for, the configuration that trains it.
+def job(config: Config) -> PriorsJob:
+    """Return the configured comparison.
 
     The priors ``others`` need no training of their own, but a model of each of the contents to stand in for.
     """
     if config.evaluation.unsearched_share != (1.0, 1.0):
         raise UserError("evaluation.unsearched_share: priors are compared where nothing is known from the start")
-    trained_on = dict.fromkeys([*config.priors.trained_on, *(config.priors.contents if config.priors.others else ())])
-    return [(name, with_overrides(config, [f"homes.contents={name}"])) for name in trained_on]
+    options = config.priors
+    trained_on: dict[str, None] = dict.fromkeys([*options.trained_on, *(options.contents if options.others else ())])
+    homes = {name: with_overrides(config, [f"homes.contents={name}"]).homes_spec for name in trained_on}
+    trainings = {name: TrainJob(one, config.training_spec) for name, one in homes.items()}
+    return PriorsJob(options, trainings, partial(_comparison, config))
 
 
-def _trained_version(config: Config) -> str:
-    home_set = homes.make(config.homes, config.contents, config.datasets_dir, None)
-    return training.find(rows.find(home_set, config.datasets_dir), training.training(config)).model_version
+def _comparison(config: Config, versions: Mapping[str, str]) -> Comparison:
+    tasks_per_home = config.evaluation.tasks_per_home
+    arms = arms_of(config.priors, tasks_per_home, versions)
+    shared = lay_out(config, [(arm.name, arm.overrides) for arm in arms], config.evaluation.planners, WHAT)
+    page = partial(_page, arms, tasks_per_home, config.experiment)
+    return Comparison(WHAT, shared, Folder(config.output_dir) / REPORT, page)
 
 
-def _overrides(arms: Sequence[PriorArm]) -> list[Arm]:
-    return [(arm.name, arm.overrides) for arm in arms]
+def _page(
+    arms: Sequence[PriorArm], tasks_per_home: int, experiment: str, shared: Sequence[SharedRun], session: Session
+) -> str:
+    found: dict[str, tuple[pd.DataFrame, pd.DataFrame]] = {}
+    for one in shared:
+        found |= _read(one, session)
+    compared = [ArmRows(arm.contents, arm.prior, arm.adapts, *found[arm.name], arm.overrides) for arm in arms]
+    return render_priors(compared, tasks_per_home, experiment)
 
 
 def arms_of(options: Priors, tasks_per_home: int, versions: Mapping[str, str]) -> list[PriorArm]:
@@ -124,22 +130,19 @@ def arms_of(options: Priors, tasks_per_home: int, versions: Mapping[str, str]) -
 
 def _read(shared: SharedRun, session: Session) -> dict[str, tuple[pd.DataFrame, pd.DataFrame]]:
     """The episodes of each arm of an evaluation, and what the main planner's team believed."""
-    config, found = shared.configured(), {}
-    names = dict(shared.arms)
+    spec, names, found = shared.configured().evaluation_spec(), dict(shared.arms), {}
     context: Context | None = None
     for arm, of_arm in shared.by_arm(read_episodes(shared.episodes)):
-        folder, file = Folder(config.output_dir) / BELIEFS, f"{slug(arm)}.parquet"
+        folder, file = Folder(spec.output_dir) / BELIEFS, f"{slug(arm)}.parquet"
         content = folder.read(file)
         beliefs = None if content is None else pd.read_parquet(io.BytesIO(content))
         planner = str(main_planner(sorted(set(of_arm["planner"]))))
         own = of_arm[(of_arm["planner"] == planner) & of_arm["home_id"].notna()]
         if beliefs is None or set(beliefs["trial_id"]) != set(own["trial_id"]):
-            context = context or prepare(config, session.pool).context
+            context = context or prepare(spec, session.pool).context
             console.headline("beliefs", arm)
             beliefs = _beliefs(own, names[arm][planner], shared.episodes, context, session)
-            buffer = io.BytesIO()
-            beliefs.to_parquet(buffer, index=False)
-            folder.write(file, buffer.getvalue())
+            folder.write(file, beliefs.to_parquet(None, index=False))
         found[arm] = (of_arm, beliefs)
     return found
 
@@ -169,7 +172,7 @@ def _beliefs(own: pd.DataFrame, planner: str, episodes: Folder, context: Context
     return pd.concat([beliefs for _, beliefs in found]).sort_values(["trial_id", "pair"], ignore_index=True)
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(job)
 
 if __name__ == "__main__":
     main("pipeline.priors")

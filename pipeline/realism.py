@@ -7,6 +7,7 @@ draw=true also a gallery of both.
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
@@ -20,14 +21,14 @@ from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, UserError
-from pipeline.base.sections import GeneratedHomes, Homes, HousesInFiles, Procthor10kHomes, ProcthorHomes
+from pipeline.base.sections import GeneratedHomes, Homes, Procthor10kHomes, ProcthorHomes
+from pipeline.base.specs import HomesSpec, MapOptions
 from pipeline.inputs import homes, rows
 from pipeline.inputs.floor_plans import draw_side_by_side
-from pipeline.inputs.training import training
+from pipeline.inputs.training import preset
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HouseFiles
 from pipeline.store.layout import REALISM
-from pipeline.store.maps import MapOptions
 
 HOMES_TABLE, TRANSFER_TABLE = "homes.csv", "transfer.csv"
 METRICS = ("roc_auc", "log_loss", "best_log_loss")
@@ -35,31 +36,52 @@ ROUNDED = "{:.3f}".format
 ROUNDED_METRIC = "{:.4f}".format
 
 
-def run(config: Config, session: Session) -> None:
-    """Compare the homes, and with ``realism.models`` the models trained on either."""
-    target, maps = Folder(config.output_dir) / REALISM, MapOptions.of(config.map, config.cache_dir)
-    theirs, ours = (
-        homes.make(each, config.contents, config.datasets_dir, session.pool)
-        for each in _real_and_generated(config.homes, config.realism.generated_test)
+@dataclass(frozen=True)
+class RealismJob:
+    """The real homes and the generated ones, how they are mapped, and the options of each kind of model to train."""
+
+    real: HomesSpec
+    generated: HomesSpec
+    maps: MapOptions
+    presets: Mapping[str, TrainingOptions]
+    seed: int
+    target: Folder
+    draw: bool
+
+    def run(self, session: Session) -> None:
+        """Compare the homes, and the models trained on either."""
+        theirs, ours = (homes.make(each, session.pool) for each in (self.real, self.generated))
+        compare(ours.houses, theirs.houses, self.maps, self.seed, self.target, session.pool)
+        if self.draw:
+            draw_side_by_side({"generated": ours.houses, "real": theirs.houses}, self.maps, self.target)
+        if self.presets:
+            folders = [rows.build(each, self.real.datasets_dir, session.pool) for each in (ours, theirs)]
+            generated, real = map(read_dataset, folders)
+            transfer(generated, real, self.presets, self.target)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which homes would be compared, and which models trained."""
+        for each in (self.real, self.generated):
+            yield f"{each.homes.source} homes: {homes.outline(each)}"
+        yield f"would compare them, and train on either: {', '.join(self.presets) or 'nothing'}"
+
+
+def job(config: Config) -> RealismJob:
+    """Return the configured comparison; raises `UserError` where the configured homes are no real ones."""
+    spec = config.homes_spec
+    return RealismJob(
+        real=spec,
+        generated=replace(spec, homes=_like(spec.homes, config.realism.generated_test)),
+        maps=config.maps,
+        presets={kind: preset(config.training_spec, kind) for kind in config.realism.models},
+        seed=config.seed,
+        target=Folder(config.output_dir) / REALISM,
+        draw=config.draw,
     )
-    compare(ours.houses, theirs.houses, maps, config.seed, target, session.pool)
-    if config.draw:
-        draw_side_by_side({"generated": ours.houses, "real": theirs.houses}, maps, target)
-    if config.realism.models:
-        folders = [rows.build(each, config.datasets_dir, session.pool) for each in (ours, theirs)]
-        options: dict[str, TrainingOptions] = {kind: training(config).preset(kind) for kind in config.realism.models}
-        generated, real = map(read_dataset, folders)
-        transfer(generated, real, options, target)
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which homes would be compared, and which models trained."""
-    for each in _real_and_generated(config.homes, config.realism.generated_test):
-        yield f"{each.source} homes: {homes.outline(each, config.contents, config.datasets_dir)}"
-    yield f"would compare them, and train on either: {', '.join(config.realism.models) or 'nothing'}"
-
-
-def _real_and_generated(options: Homes, generated_test: int) -> tuple[HousesInFiles, GeneratedHomes]:
+def _like(options: Homes, test: int) -> GeneratedHomes:
+    """Return generated homes to compare with real ones."""
     if not isinstance(options, ProcthorHomes | Procthor10kHomes):
         raise UserError(
             f"homes={options.source}: real homes are needed to compare with; give homes=procthor homes.files=[...] "
@@ -70,7 +92,7 @@ def _real_and_generated(options: Homes, generated_test: int) -> tuple[HousesInFi
             f"homes.contents={options.contents}: the generator is compared with homes as they come; use procthor"
         )
     shared = options.model_dump(include={"contents", "seed", "train", "validation"})
-    return options, GeneratedHomes(source="generated", test=generated_test, **shared)
+    return GeneratedHomes(source="generated", test=test, **shared)
 
 
 def compare(generated: HouseFiles, real: HouseFiles, maps: MapOptions, seed: int, target: Folder, pool: Pool) -> None:
@@ -106,7 +128,7 @@ def _describe(number: int, members: Sequence[Home], maps: MapOptions) -> Describ
     return describe_home(members[number], maps.map_of(members[number]))
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(job)
 
 if __name__ == "__main__":
     main("pipeline.realism")

@@ -1,13 +1,15 @@
-"""Replays an episode as one HTML file to watch: the drives, the beliefs and the reasons, beside the results.
+"""Replays an episode in one HTML file that shows the drives, the beliefs and the reasons for each decision.
 
     python -m pipeline.replay trial_id=large-3-073 planners=[pouct,learned_myopic] output_dir=outputs/paper
 
-The trial runs again as the run in output_dir recorded it, and the result must be equal. The page is
+The trial runs again with the configuration that output_dir records, and the result must be the same. The page is
 ``<output_dir>/replays/<trial_id>.html`` and needs no network.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -23,9 +25,9 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, suggest
+from pipeline.base.specs import EvaluationSpec
 from pipeline.base.studies import Replay
-from pipeline.episodes.plan import EvaluationPlan, covering
-from pipeline.episodes.prepare import prepare
+from pipeline.episodes.plan import EvaluationPlan, covering, prepare
 from pipeline.episodes.worker import run_chain
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE, EpisodeRow
@@ -38,46 +40,59 @@ MUST_BE_EQUAL = ("status", "cost_s", "decisions", "samples", "error", TRACE)
 Row = Mapping[str, Any]
 """A row of the results with its trace."""
 PLAYED = ("accepted", "failed")
-"""Episodes of another status broke off and left no trace."""
+"""Episodes with any other status broke off and left no trace."""
 
 
-def run(config: Config, session: Session) -> None:
-    """Run the trial again and write its page."""
-    began_s, folder = time.monotonic(), Folder(config.output_dir)
-    trial_id, rows, planners = _chosen(config.replay, folder)
-    console.headline("replay", f"trial {trial_id} by {', '.join(planners)}")
-    plan = prepare(_recorded(config, folder), session.pool)
-    episodes = [_replayed(rows[planner], plan, folder) for planner in planners]
-    row = rows[planners[0]]
-    home = next(home for home in plan.context.homes if home.id == row["home_id"])
-    automaton = build_automaton(row["formula"], tuple(row["objects"]))
-    replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
-    command = f"python -m pipeline.replay trial_id={trial_id} planners=[{','.join(planners)}] output_dir={folder}"
-    target, name = folder / REPLAYS, f"{trial_id}.html"
-    target.write(name, render_replay(replay, command).encode())
-    console.result(target / name, time.monotonic() - began_s)
+@dataclass(frozen=True)
+class ReplayJob:
+    """The trial to show and by which planners, the folder with its rows, and a way to read its configuration."""
+
+    options: Replay
+    folder: Folder
+    recorded: Callable[[], EvaluationSpec]
+
+    def run(self, session: Session) -> None:
+        """Run the trial again and write its page."""
+        began_s, folder = time.monotonic(), self.folder
+        trial_id, rows, planners = self._chosen()
+        console.headline("replay", f"trial {trial_id} by {', '.join(planners)}")
+        plan = prepare(self.recorded(), session.pool)
+        episodes = [_replayed(rows[planner], plan, folder) for planner in planners]
+        row = rows[planners[0]]
+        home = next(home for home in plan.context.homes if home.id == row["home_id"])
+        automaton = build_automaton(row["formula"], tuple(row["objects"]))
+        replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
+        command = f"python -m pipeline.replay trial_id={trial_id} planners=[{','.join(planners)}] output_dir={folder}"
+        target, name = folder / REPLAYS, f"{trial_id}.html"
+        target.write(name, render_replay(replay, command).encode())
+        console.result(target / name, time.monotonic() - began_s)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say whose episodes of which trial would be replayed."""
+        trial_id, _, planners = self._chosen()
+        yield f"would replay trial {trial_id} by {', '.join(planners)} -> {self.folder / REPLAYS / f'{trial_id}.html'}"
+
+    def _chosen(self) -> tuple[str, dict[str, Row], tuple[str, ...]]:
+        """Return the trial, its rows by planner, and the planners to show."""
+        trial_id = self.options.trial_id
+        if trial_id is None:
+            raise UserError("replay.trial_id: a value is needed, give it as trial_id=..., such as trial_id=large-3-073")
+        rows = _rows(self.folder, trial_id)
+        return trial_id, rows, _planners(rows, self.options.planners, trial_id)
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say whose episodes of which trial would be replayed."""
+def job(config: Config) -> ReplayJob:
+    """Return what to replay."""
     folder = Folder(config.output_dir)
-    trial_id, _, planners = _chosen(config.replay, folder)
-    yield f"would replay trial {trial_id} by {', '.join(planners)} -> {folder / REPLAYS / f'{trial_id}.html'}"
-
-
-def _chosen(options: Replay, folder: Folder) -> tuple[str, dict[str, Row], tuple[str, ...]]:
-    """Return the trial, its rows by planner, and the planners to show."""
-    if options.trial_id is None:
-        raise UserError("replay.trial_id: a value is needed, give it as trial_id=..., such as trial_id=large-3-073")
-    rows = _rows(folder, options.trial_id)
-    return options.trial_id, rows, _planners(rows, options.planners, options.trial_id)
+    here = {"output_dir": config.output_dir, "cache_dir": config.cache_dir, "draw": False, "overwrite": False}
+    return ReplayJob(config.replay, folder, partial(_recorded, folder, {"replay": config.replay}, here))
 
 
 def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
-    """The trial's rows with their traces, by planner.
+    """Return the trial's rows with their traces, by planner.
 
     Raises:
-        UserError: there is no finished evaluation in the folder, or no such trial in it.
+        UserError: the folder holds no finished evaluation, or the evaluation has no such trial.
     """
     if cells := layout.cells(folder):
         listed = ", ".join(str(cell) for cell in cells)
@@ -93,7 +108,7 @@ def _rows(folder: Folder, trial_id: str) -> dict[str, Row]:
 
 
 def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) -> tuple[str, ...]:
-    """The planners to show: those asked for, else the main one and the baseline beside it."""
+    """Return the planners to show: those asked for, or by default the main planner and its baseline."""
     played = {name: row for name, row in rows.items() if row["status"] in PLAYED}
     for name in asked:
         if name not in rows:
@@ -112,20 +127,19 @@ def _planners(rows: Mapping[str, Row], asked: tuple[str, ...], trial_id: str) ->
     return (main_one, beside) if beside else (main_one,)
 
 
-def _recorded(config: Config, folder: Folder) -> Config:
-    """The configuration that the run had, of all planners and trials that it grew by, with this machine's cache.
+def _recorded(folder: Folder, default: Mapping[str, Any], here: Mapping[str, Any]) -> EvaluationSpec:
+    """Return the evaluation that the folder records, with all planners and trials added later and this machine's cache.
 
     Raises:
-        UserError: there is none, or another version of the code wrote it.
+        UserError: the folder holds no finished evaluation, or another version of the code wrote it.
     """
     manifest = EvaluationManifest.read(folder, MANIFEST)
     if manifest is None:
         raise UserError(
             f"no finished evaluation in {folder}; run python -m pipeline.evaluate with the same output_dir first"
         )
-    here = {"output_dir": config.output_dir, "cache_dir": config.cache_dir, "draw": False, "overwrite": False}
     try:
-        recorded = Config.model_validate({"replay": config.replay, **manifest.config} | here)
+        recorded = Config.model_validate({**default, **manifest.config, **here}).evaluation_spec()
         identity = RunIdentity.read(folder, IDENTITY)
         return recorded if identity is None else covering(recorded, identity)
     except ValidationError as error:
@@ -137,10 +151,10 @@ def _recorded(config: Config, folder: Folder) -> Config:
 
 
 def _replayed(row: Row, plan: EvaluationPlan, folder: Folder) -> Episode:
-    """Runs the episode of a row again.
+    """Run a row's episode again.
 
     Raises:
-        UserError: the result is another one.
+        UserError: the result differs from the row.
     """
     [key] = [key for key in plan.keys if (key.trial_id, key.planner) == (row["trial_id"], row["planner"])]
     [chain] = plan.chains([key])
@@ -179,7 +193,7 @@ def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: Evaluati
     return f"{row['planner']} on {row['trial_id']} does not replay to the stored episode ({shown}): {reason}"
 
 
-STAGE = Stage(run, outline, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
+STAGE = Stage(job, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
 
 if __name__ == "__main__":
     main("pipeline.replay")

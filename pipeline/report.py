@@ -24,11 +24,11 @@ from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, content_hash
+from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Tracking
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
-from pipeline.store.folder import Folder, locked
+from pipeline.store.folder import Folder
 from pipeline.store.layout import (
     EPISODES,
     IDENTITY,
@@ -69,8 +69,9 @@ class Collected:
     @property
     def key(self) -> ReportKey:
         """The hash of all that the report depends on."""
-        code = source_hash("mrtask/analysis")
-        return ReportKey(key=content_hash([_digest(self.episodes), self.facts, _as_text(self.optimality), code]))
+        judged = sorted(map(str, self.episodes[JUDGED_COLUMNS].itertuples(index=False, name=None)))
+        optimality = None if self.optimality is None else self.optimality.to_csv(index=False)
+        return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis")]))
 
     def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
@@ -82,51 +83,52 @@ class Collected:
         return self.episodes.merge(pd.concat(traces)[[*keys, TRACE]], how="left", on=keys)
 
 
-def run(config: Config, session: Session) -> None:
-    """Write the report of what the output folder holds."""
-    report(Folder(config.output_dir), config.tracking)
+@dataclass(frozen=True)
+class ReportJob:
+    """The folder whose episodes are reported, and the MLflow store that gets a copy of the report."""
 
+    folder: Folder
+    tracking: Tracking
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say on how many episodes the report would be."""
-    folder = Folder(config.output_dir)
-    collected = collect(folder)
-    what = "is up to date" if _is_current(collected, folder) else "would be written"
-    yield f"the report on {len(collected.episodes)} episodes {what}: {folder / REPORT / REPORT_INDEX}"
+    @property
+    def target(self) -> Folder:
+        """The report's folder."""
+        return self.folder / REPORT
 
+    def run(self, session: Session) -> None:
+        """Write the report on what the folder holds, unless it is up to date.
 
-def compare_cells(config: Config, run_id: str | None) -> None:
-    """Write the report of a sweep and keep it with the sweep's MLflow run."""
-    folder = Folder(config.output_dir)
-    with locked(folder, config.cache_dir):
-        report(folder, config.tracking, run_id)
+        The MLflow run of the evaluation, or of the sweep whose cells are compared, gets a copy if the store has it.
+        """
+        began_s = time.monotonic()
+        collected = collect(self.folder)
+        console.headline("report", f"{len(collected.episodes)} episodes")
+        if _is_current(collected, self.folder):
+            console.skipped(self.target / REPORT_INDEX)
+            return
+        of_sweep = session.cell.parent_run_id if not session.cell.text else None
+        with tempfile.TemporaryDirectory() as temporary:
+            table = _render(collected, Path(temporary))
+            self.target.upload(Path(temporary))
+            self._keep(of_sweep or collected.manifest.run_id, Path(temporary), table)
+        collected.key.write(self.target, REPORT_KEY)
+        console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
 
-
-def report(folder: Folder, options: Tracking, run_id: str | None = None) -> Folder:
-    """Write the report on what an output folder holds, unless it is up to date, and return the report's folder.
-
-    The MLflow run ``run_id``, by default that of the evaluation, gets a copy if the tracking store has that run.
-    """
-    began_s = time.monotonic()
-    collected = collect(folder)
-    console.headline("report", f"{len(collected.episodes)} episodes")
-    target = folder / REPORT
-    if _is_current(collected, folder):
-        console.skipped(target / REPORT_INDEX)
-        return target
-    with tempfile.TemporaryDirectory() as temporary:
-        table = _render(collected, Path(temporary))
-        target.upload(Path(temporary))
-        tracking = runs.open_tracking(options.uri, options.experiment_name)
-        kept_with = runs.Run(tracking, run_id or collected.manifest.run_id)
+    def _keep(self, run_id: str, rendered: Path, table: pd.DataFrame) -> None:
+        tracking = runs.open_tracking(self.tracking.uri, self.tracking.experiment_name)
+        kept_with = runs.Run(tracking, run_id)
         if runs.has_run(tracking, kept_with.run_id):
-            runs.log_artifact(kept_with, Path(temporary), REPORT)
+            runs.log_artifact(kept_with, rendered, REPORT)
             runs.log_table(kept_with, table, TABLE_ARTIFACT)
         else:
-            console.line(f"tracking.uri={options.uri} does not hold this evaluation: MLflow gets no copy of the report")
-    collected.key.write(target, REPORT_KEY)
-    console.result(target / REPORT_INDEX, time.monotonic() - began_s)
-    return target
+            uri = self.tracking.uri
+            console.line(f"tracking.uri={uri} does not hold this evaluation: MLflow gets no copy of the report")
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say on how many episodes the report would be."""
+        collected = collect(self.folder)
+        what = "is up to date" if _is_current(collected, self.folder) else "would be written"
+        yield f"the report on {len(collected.episodes)} episodes {what}: {self.target / REPORT_INDEX}"
 
 
 def _is_current(collected: Collected, folder: Folder) -> bool:
@@ -214,14 +216,6 @@ def _render(collected: Collected, target: Path) -> pd.DataFrame:
     return rendered.table
 
 
-def _digest(episodes: pd.DataFrame) -> str:
-    return content_hash(sorted(map(str, episodes[JUDGED_COLUMNS].itertuples(index=False, name=None))))
-
-
-def _as_text(rows: pd.DataFrame | None) -> str | None:
-    return None if rows is None else rows.to_csv(index=False)
-
-
 def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     """Return the homes to draw, none where their files are gone."""
     source = evaluated.read_from
@@ -231,7 +225,7 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking))
 
 if __name__ == "__main__":
     main("pipeline.report")

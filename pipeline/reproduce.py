@@ -5,62 +5,74 @@ experiment=paper (default) is the paper's; experiment=smoke the same in small.
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TypeVar
 
-from pipeline import evaluate, report, train
+from pipeline import evaluate, report
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Config
 from pipeline.episodes.kernels import compiled_meanwhile
-from pipeline.episodes.plan import check, plan_evaluation
-from pipeline.episodes.prepare import load_model
+from pipeline.episodes.plan import check, load_model, plan_evaluation
 from pipeline.inputs import homes, rows, training
 from pipeline.store.folder import Folder
 from pipeline.store.layout import REPORT_INDEX, STAGES
 from pipeline.store.records import StageTimes
+from pipeline.train import TrainJob
 
 Result = TypeVar("Result")
 
 
-def run(config: Config, session: Session) -> None:
-    """Run all stages, one after the other."""
-    seconds: dict[str, float] = {}
-    started_s = time.monotonic()
+@dataclass(frozen=True)
+class ReproduceJob:
+    """A training and an evaluation of what it trained."""
 
-    def timed(stage: str, work: Callable[[], Result]) -> Result:
-        began_s = time.monotonic()
-        result = work()
-        seconds[stage] = round(time.monotonic() - began_s, 1)
-        return result
+    train: TrainJob
+    evaluate: evaluate.EvaluateJob
 
-    check(config.evaluation)
-    wanted = training.training(config)
-    wanted.check()
-    with compiled_meanwhile(config.compared):
-        home_set = timed("homes", lambda: homes.make(config.homes, config.contents, config.datasets_dir, session.pool))
-        labelled = timed("dataset", lambda: rows.build(home_set, config.datasets_dir, session.pool))
-        timed("train", lambda: training.train(labelled, wanted))
-    plan = plan_evaluation(config, home_set, load_model(config))
-    timed("evaluate", lambda: evaluate.evaluate(plan, config, session))
-    folder = Folder(config.output_dir)
-    if StageTimes.find(folder, STAGES) is None:
-        StageTimes(seconds=seconds).write(folder, STAGES)
-    target = report.report(folder, config.tracking)
-    total = console.duration(time.monotonic() - started_s)
-    console.headline(
-        "done", f"{config.experiment} in {total}; open {target / REPORT_INDEX}, or `make dashboard` for all runs"
-    )
+    def run(self, session: Session) -> None:
+        """Run all stages, one after the other."""
+        seconds: dict[str, float] = {}
+        started_s = time.monotonic()
+
+        def timed(stage: str, work: Callable[[], Result]) -> Result:
+            began_s = time.monotonic()
+            result = work()
+            seconds[stage] = round(time.monotonic() - began_s, 1)
+            return result
+
+        spec, pool = self.evaluate.spec, session.pool
+        check(spec.options)
+        training.check(self.train.training)
+        with compiled_meanwhile(spec.planners):
+            home_set = timed("homes", lambda: homes.make(spec.homes, pool))
+            labelled = timed("dataset", lambda: rows.build(home_set, spec.homes.datasets_dir, pool))
+            timed("train", lambda: training.train(labelled, self.train.training))
+        plan = plan_evaluation(spec, home_set, load_model(spec))
+        timed("evaluate", lambda: evaluate.evaluate(plan, session))
+        folder = Folder(spec.output_dir)
+        if StageTimes.find(folder, STAGES) is None:
+            StageTimes(seconds=seconds).write(folder, STAGES)
+        reported = report.ReportJob(folder, spec.tracking)
+        reported.run(session)
+        page, total = reported.target / REPORT_INDEX, console.duration(time.monotonic() - started_s)
+        console.headline("done", f"{spec.experiment} in {total}; open {page}, or `make dashboard` for all runs")
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say what each stage would do; once homes and model exist, also how long the evaluation would take."""
+        yield from self.train.outline(session)
+        yield from self.evaluate.outline(session)
+        yield "would write the report"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say what each stage would do; once homes and model exist, also how long the evaluation would take."""
-    yield from train.outline(config, session)
-    yield from evaluate.outline(config, session)
-    yield "would write the report"
+def job(config: Config) -> ReproduceJob:
+    """Return the configured experiment."""
+    train = TrainJob(config.homes_spec, config.training_spec)
+    return ReproduceJob(train, evaluate.EvaluateJob(config.evaluation_spec()))
 
 
-STAGE = Stage(run, outline, compare_cells=report.compare_cells)
+STAGE = Stage(job, compare=report.STAGE)
 
 if __name__ == "__main__":
     main("pipeline.reproduce")

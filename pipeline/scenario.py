@@ -1,12 +1,12 @@
-"""Runs one task in one home by every planner and prints the metres that each drove.
+"""Runs one task in one home with each planner and prints how many metres the robots drove.
 
     python -m pipeline.scenario name=apartment1
     python -m pipeline.scenario map=lab.yaml containers=containers.yaml task="pillow and remote" robots=2
 
-Every planner runs with several seeds; metres are means over them. The files in output_dir (default
-outputs/scenario/<name>) show the first seed: replay.html has all planners side by side, to watch; plans.png has the
-first search planner beside the first baseline; traces/<planner>.json. conf/scenario.yaml lists every key with its
-default; planners' options are planner.pouct.samples=1000 and the like.
+Each planner runs with several seeds, and the table shows the means over the seeds. The files in output_dir (default
+outputs/scenario/<name>) show the first seed: replay.html plays all planners side by side, plans.png draws the first
+search planner next to the first baseline, and traces/<planner>.json holds each planner's drives. conf/scenario.yaml
+lists every key with its default. Planners' options are set as in planner.pouct.samples=1000.
 """
 
 import json
@@ -61,21 +61,18 @@ def run(arguments: Sequence[str]) -> None:
         f"{len(home.containers)} containers, {home.area_m2:.0f} m2, {options.robots} robots from "
         "({:.1f}, {:.1f})".format(*scenario.home_map.cell_center(trial.start_cell))
     )
-    for text in likelihoods(scenario):
-        console.line(text)
+    console.text("\n".join(likelihoods(scenario)))
     recorders = {name: Recorder() for name in planners_in_order(options.planners)}
     results = {
         name: [_run(scenario, name, options, number, None if number else recorder) for number in range(options.seeds)]
         for name, recorder in recorders.items()
     }
-    for text in table(results, _published(options.published)):
-        console.line(text)
+    console.text("\n".join(table(results, _published(options.published))))
     if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
         console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
         in_worlds = [replace(scenario, home=world) for world in worlds]
         means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
-        for text in table(means, None):
-            console.line(text)
+        console.text("\n".join(table(means, None)))
     first = {name: of_seeds[0] for name, of_seeds in results.items()}
     (folder / "traces").mkdir(parents=True, exist_ok=True)
     for name, result in first.items():
@@ -89,14 +86,17 @@ def run(arguments: Sequence[str]) -> None:
 def _run(
     scenario: Scenario, name: str, options: ScenarioOptions, number: int, observe: Recorder | None
 ) -> EpisodeResult:
-    """Return the episode with the seed of this number."""
+    """Run an episode with the seed of this number and return its result."""
     trial = replace(scenario.trial, seed=key_seed(options.seed + number, "planner", scenario.trial.trial_id))
     planner = make_planner(name, options.options_of(name))
     return run_episode(trial, scenario.home, scenario.home_map, scenario.likelihood, planner, name, observe=observe)
 
 
 def likelihoods(scenario: Scenario) -> list[str]:
-    """Return what planners know at the start: how likely each object is in each container; ``*`` marks the truth."""
+    """Return a table of what planners know at the start: how likely each container holds each object.
+
+    A ``*`` marks where the object really is.
+    """
     objects = scenario.trial.objects
     lines = [f"{'likelihood':<24}" + "".join(f"{name:>12}" for name in objects)]
     for container, probs in zip(scenario.home.containers, scenario.likelihood, strict=True):
@@ -108,13 +108,13 @@ def likelihoods(scenario: Scenario) -> list[str]:
 
 
 def metres(result: EpisodeResult) -> tuple[float, float]:
-    """Return how far the robot that drove farthest drove, and all robots together."""
+    """Return the longest distance that one robot drove, and the total of all robots."""
     each = driven_m(result.trace)
     return max(each), sum(each)
 
 
 def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTrial | None) -> list[str]:
-    """Return the planners' metres, means over seeds or worlds, and the paper's where it has the scenario."""
+    """Return a table of the planners' metres, averaged over seeds or worlds, with the paper's figures if it has any."""
     base_m = _mean_metres(results.get(BASELINE, ()))
     lines = [f"{'planner':<24}{'metres':>8}{'least':>8}{'most':>8}{'together':>10}{'decisions':>11}{'saved':>8}"]
     for name, of_seeds in results.items():
@@ -139,7 +139,7 @@ def table(results: Mapping[str, Sequence[EpisodeResult]], published: RealWorldTr
 
 
 def _mean_metres(of_seeds: Sequence[EpisodeResult]) -> float | None:
-    """Return the mean metres, None where a seed failed or none ran."""
+    """Return the mean distance; None if any seed failed or none ran."""
     if not of_seeds or any(result.error is not None for result in of_seeds):
         return None
     return fmean(metres(result)[0] for result in of_seeds)
@@ -152,7 +152,7 @@ def _replay(
     options: ScenarioOptions,
     command: str,
 ) -> str:
-    """Return the page of all planners side by side."""
+    """Return a page that plays all planners side by side."""
     trial = scenario.trial
     episodes = [
         Episode(name, result.status, result.cost_s, result.error, result.trace, recorders[name].decisions)

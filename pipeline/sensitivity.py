@@ -7,13 +7,13 @@ whose values are numbers. The page is ``<output_dir>/sensitivity/index.html``. `
 evaluations; run again with more trials or values, the stage adds what is missing.
 """
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 from mrtask.analysis.studies.sensitivity import COMPARED, Curve, Point, render_sensitivity
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.arms import Arm, lay_out, write_page
+from pipeline.arms import Arm, Comparison, SharedRun, lay_out
 from pipeline.base.config import Config
 from pipeline.base.studies import Factor
 from pipeline.store.folder import Folder
@@ -23,27 +23,21 @@ from pipeline.store.rows import read_episodes
 WHAT = "sensitivity"
 
 
-def run(config: Config, session: Session) -> None:
-    """Run every value of every factor and write the page."""
-    began_s = time.monotonic()
+def job(config: Config) -> Comparison:
+    """Lay out an arm for every value of every factor."""
     factors = config.sensitivity.factors
-    comparison = lay_out(config, _arms(factors), COMPARED, WHAT)
-    comparison.run(session)
-    rows = {arm: of_arm for one in comparison.shared for arm, of_arm in one.by_arm(read_episodes(one.episodes))}
+    shared = lay_out(config, [_arm(factor, value) for factor in factors for value in factor.values], COMPARED, WHAT)
+    target = Folder(config.output_dir) / SENSITIVITY
+    return Comparison(WHAT, shared, target, partial(_page, factors, config.experiment))
+
+
+def _page(factors: Sequence[Factor], experiment: str, shared: Sequence[SharedRun], session: Session) -> str:
+    rows = {arm: of_arm for one in shared for arm, of_arm in one.by_arm(read_episodes(one.episodes))}
     curves = [
         Curve(factor.name, factor.key, tuple(Point(value, rows[_arm(factor, value)[0]]) for value in factor.values))
         for factor in factors
     ]
-    write_page(Folder(config.output_dir) / SENSITIVITY, render_sensitivity(curves, config.experiment), began_s)
-
-
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which evaluations the factors would need."""
-    yield from lay_out(config, _arms(config.sensitivity.factors), COMPARED, WHAT).outline(session)
-
-
-def _arms(factors: Sequence[Factor]) -> list[Arm]:
-    return [_arm(factor, value) for factor in factors for value in factor.values]
+    return render_sensitivity(curves, experiment)
 
 
 def _arm(factor: Factor, value: float) -> Arm:
@@ -51,7 +45,7 @@ def _arm(factor: Factor, value: float) -> Arm:
     return f"{factor.name} {text}", (f"{factor.key}={text}",)
 
 
-STAGE = Stage(run, outline)
+STAGE = Stage(job)
 
 if __name__ == "__main__":
     main("pipeline.sensitivity")

@@ -5,31 +5,41 @@ beating the present champion. A model is trained again only when dataset, model,
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
-from pipeline import dataset
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
-from pipeline.base.config import Config
-from pipeline.inputs import training
+from pipeline.base.specs import HomesSpec, TrainingSpec
+from pipeline.dataset import DatasetJob
+from pipeline.inputs import homes, rows, training
 from pipeline.store.records import TrainedModelRecord
 
 
-def run(config: Config, session: Session) -> TrainedModelRecord:
-    """Return the record of the trained model."""
-    wanted = training.training(config)
-    wanted.check()
-    return training.train(dataset.run(config, session), wanted)
+@dataclass(frozen=True)
+class TrainJob:
+    """Which model, and the homes to train it on."""
+
+    homes: HomesSpec
+    training: TrainingSpec
+
+    def run(self, session: Session) -> TrainedModelRecord:
+        """Return the record of the trained model."""
+        training.check(self.training)
+        return training.train(DatasetJob(self.homes).run(session), self.training)
+
+    def found(self) -> TrainedModelRecord:
+        """Return the record of the model that was trained before; raises `NotMade` where none was trained."""
+        return training.find(rows.find(homes.make(self.homes, None), self.homes.datasets_dir), self.training)
+
+    def outline(self, session: Session) -> Iterator[str]:
+        """Say which model would be trained on which homes."""
+        training.check(self.training)
+        yield from DatasetJob(self.homes).outline(session)
+        what = self.training.what
+        yield f"would train {what} on the rows of the training homes, and register it, unless that is done"
 
 
-def outline(config: Config, session: Session) -> Iterator[str]:
-    """Say which model would be trained on which homes."""
-    wanted = training.training(config)
-    wanted.check()
-    yield from dataset.outline(config, session)
-    yield f"would train {wanted.what} on the rows of the training homes, and register it, unless that is done"
-
-
-STAGE = Stage(run, outline, locks="never")
+STAGE = Stage(lambda config: TrainJob(config.homes_spec, config.training_spec), locks="never")
 
 if __name__ == "__main__":
     main("pipeline.train")

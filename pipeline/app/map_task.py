@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.files import default_cache_dir
@@ -15,25 +15,23 @@ from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
 from pipeline.base.config import CONF_DIR, UserError
+from pipeline.base.values import LocalPath, Positive, Section
 
 SCENARIOS = CONF_DIR / "scenario"
 CATALOGUE, UNIFORM = "catalogue", "uniform"
 
 Coordinates = Annotated[tuple[float, float], Field(strict=False)]
-Existing = Annotated[Path, AfterValidator(lambda path: _existing(path))]
+Existing = Annotated[LocalPath, AfterValidator(lambda path: _existing(path))]
 
 
 def _existing(path: Path) -> Path:
-    path = path.expanduser().absolute()
     if not path.is_file():
         raise ValueError(f"no such file: {path}")
     return path
 
 
-class MapTask(BaseModel):
+class MapTask(Section):
     """A map, a task in words and a team; ``conf/scenario.yaml`` explains each key."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
     name: str | None
     map: Existing
@@ -84,18 +82,13 @@ class MapTask(BaseModel):
 class ScenarioOptions(MapTask):
     """The options of `pipeline.scenario`."""
 
-    robots: int = Field(ge=1)
+    robots: Positive
     start: Coordinates | None
     planners: tuple[str, ...] = Field(min_length=1)
-    seeds: int = Field(ge=1)
+    seeds: Positive
     drawn_worlds: int = Field(ge=0)
-    output_dir: Path
+    output_dir: LocalPath
     published: str | None
-
-    @field_validator("output_dir")
-    @classmethod
-    def _absolute(cls, path: Path) -> Path:
-        return path.expanduser().absolute()
 
     @model_validator(mode="after")
     def _known_planners(self) -> Self:

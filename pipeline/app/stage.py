@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
 from pipeline.backends.pool import Pool
 from pipeline.base import console
@@ -16,7 +16,7 @@ class Cell:
     """Which cell of a sweep a stage runs for; outside sweeps all fields are empty."""
 
     text: str = ""
-    """The cell's values of the swept keys: ``planner.pouct.samples=100``."""
+    """The cell's values of the swept keys: ``planner.pouct.samples=100``. Empty where all cells are compared."""
     title: str = ""
     """The same without the keys' groups, ``samples=100``, where that is as clear: lists cut long names off."""
     parent_run_id: str | None = None
@@ -25,33 +25,43 @@ class Cell:
 
 @dataclass(frozen=True)
 class Session:
-    """What a stage runs with besides its configuration."""
+    """What a job runs with."""
 
     pool: Pool
     cell: Cell = Cell()
+
+
+class Job(Protocol):
+    """What a stage does, with those parts of the configuration that it needs."""
+
+    def run(self, session: Session) -> object:
+        """Do it."""
+
+    def outline(self, session: Session) -> Iterable[str]:
+        """Say line by line what `run` would do. This leaves no file behind but in the cache."""
 
 
 @dataclass(frozen=True)
 class Stage:
     """What the module of a stage declares as ``STAGE``."""
 
-    run: Callable[[Config, Session], object]
-    outline: Callable[[Config, Session], Iterable[str]]
-    """What a dry run says the stage would do, line by line. It leaves no file behind but in the cache."""
+    job: Callable[[Config], Job]
+    """Resolves the configuration, without any work."""
     locks: Literal["always", "to draw", "never"] = "always"
     """When the stage holds ``output_dir``, so that no other run writes there: always, with ``draw=true``, never."""
-    compare_cells: Callable[[Config, str | None], object] | None = None
-    """Compares the cells of a sweep, given the sweep's configuration and MLflow run; for stages that leave episodes."""
+    compare: "Stage | None" = None
+    """Compares the cells of a sweep, from the sweep's configuration; for stages that leave episodes."""
     shorthands: Mapping[str, str] = field(default_factory=dict)
     """Keys that the stage also takes without their group: ``trial_id`` -> ``replay.trial_id``."""
 
     def start(self, config: Config, session: Session) -> None:
         """Run the stage, or with ``dry_run=true`` say what it would do."""
+        job = self.job(config)
         if config.dry_run:
             console.headline("dry run", "nothing is written")
-            for text in self.outline(config, session):
+            for text in job.outline(session):
                 console.line(text)
             return
         holds = self.locks == "always" or (self.locks == "to draw" and config.draw)
         with locked(Folder(config.output_dir), config.cache_dir) if holds else nullcontext():
-            self.run(config, session)
+            job.run(session)

@@ -12,6 +12,7 @@ import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -42,8 +43,8 @@ class Sweep:
     config: Config
     """The sweep's own: its output folder is that of the whole sweep."""
     cells: int
-    compare_cells: Callable[[Config, str | None], object] | None = None
-    """What the end of the sweep calls; set by the first cell that leaves something to compare."""
+    compare: Callable[[], None] | None = None
+    """What the end of the sweep calls; set by a cell that leaves something to compare."""
     started: int = 0
     failed: list[str] = field(default_factory=list)
     parent_run_id: str | None = None
@@ -62,13 +63,14 @@ class Sweep:
             self.failed.append(f"{text}: {error}")
             refuse(error)
         else:
-            if not config.dry_run:
-                self.compare_cells = stage.compare_cells
+            if stage.compare is not None and not config.dry_run:
+                whole = Session(pool, Cell(parent_run_id=self.parent_run_id))
+                self.compare = partial(stage.compare.start, self.config, whole)
 
     def end(self) -> None:
         """Compare the cells, and say which failed."""
-        if self.compare_cells is not None:
-            self.compare_cells(self.config, self.parent_run_id)
+        if self.compare is not None:
+            self.compare()
         self.cleanup.close()
         if self.failed:
             headline = f"{len(self.failed)} of {self.cells} cells failed:"

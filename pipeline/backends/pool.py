@@ -14,7 +14,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import FrameType, TracebackType
@@ -115,7 +115,7 @@ class ItemError(RuntimeError):
     """An item failed whose value is needed."""
 
 
-class Pool:
+class Pool(AbstractContextManager["Pool"]):
     """Workers of one cluster; Ray starts with the first task and stops when the pool is closed."""
 
     def __init__(self, cluster: Cluster) -> None:
@@ -123,9 +123,6 @@ class Pool:
         self._slots = 0
         self._alone = True
         self._owns_ray = False
-
-    def __enter__(self) -> "Pool":
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -329,11 +326,11 @@ def _start(cluster: Cluster) -> None:
         _check_reachable(cluster.address)
     try:
         ray.init(address=cluster.address, **options)
-    except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
+    except Exception as error:  # Ray raises a bare one where its start takes too long
         said = " ".join(str(error).split()).rstrip(".")
         raise UserError(
             f"cluster.address={cluster.address}: Ray cannot be used there: {said}. {ADDRESSES}; "
-            "where the cluster asks for a token, set RAY_AUTH_MODE=token"
+            "where the cluster asks for a token, set RAY_AUTH_MODE=token; where the start took too long, run it again"
         ) from error
 
 

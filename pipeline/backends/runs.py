@@ -158,11 +158,6 @@ def log_artifact(run: Run, path: Path, folder: str | None = None) -> None:
     log(str(path), folder, run_id=run.run_id)
 
 
-def log_figure(run: Run, figure: Any, name: str) -> None:
-    """Keep a matplotlib figure as ``figures/<name>``."""
-    mlflow.MlflowClient().log_figure(run.run_id, figure, f"figures/{name}")
-
-
 def log_table(run: Run, table: pd.DataFrame, name: str) -> None:
     """Keep a table as ``name`` (``.json``) that MLflow shows beside those of other runs; an earlier one is replaced."""
     client = mlflow.MlflowClient()
@@ -191,15 +186,14 @@ def log_dataset(run: Run, dataset: Dataset, folder: Path) -> None:
 
 def log_training(run: Run, trained: TrainedModel, dataset: Dataset) -> None:
     """Keep loss curves, the reliability plot and the metrics per object and container type on the test homes."""
-    test = dataset.triples("test")
+    test, client = dataset.triples("test"), mlflow.MlflowClient()
     if trained.history:
         table = score(FrequencyModel(dataset.triples("train")), dataset.triples("validation"))
-        log_figure(run, loss_curves(trained.history, table["log_loss"]), "loss_curves.png")
+        client.log_figure(run.run_id, loss_curves(trained.history, table["log_loss"]), "figures/loss_curves.png")
     if not len(test):
         return
     probs = trained.model.predict(test)
-    log_figure(run, reliability_plot(reliability(probs, test)), "reliability.png")
-    client = mlflow.MlflowClient()
+    client.log_figure(run.run_id, reliability_plot(reliability(probs, test)), "figures/reliability.png")
     for column in TRIPLE:
         text = evaluate_by(probs, test, column).to_csv(index=False)
         client.log_text(run.run_id, text, f"metrics/test_by_{column}.csv")

@@ -18,7 +18,6 @@ from pydantic import BaseModel, Field, ValidationError
 from mrtask.errors import InputError
 from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.planning.planners import PLANNERS
-from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -35,6 +34,7 @@ from pipeline.base.sections import (
     Tracking,
     Trainer,
 )
+from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
 from pipeline.base.values import LocalPath, Location, Section, absolute
 
@@ -91,9 +91,39 @@ class Config(Section):
         return PlannerSpec(name, variant.planner, options, LikelihoodChoice(**likelihood))
 
     @property
-    def compared(self) -> tuple[PlannerSpec, ...]:
-        """The planners of the evaluation."""
-        return tuple(self.spec(name) for name in self.evaluation.planners)
+    def homes_spec(self) -> HomesSpec:
+        """Which homes to make or read."""
+        return HomesSpec(self.homes, self.contents, self.datasets_dir)
+
+    @property
+    def maps(self) -> MapOptions:
+        """How homes are mapped."""
+        return MapOptions(self.map, self.cache_dir)
+
+    @property
+    def training_spec(self) -> TrainingSpec:
+        """Which model to train."""
+        return TrainingSpec(self.model, self.trainer, self.seed, self.tracking, self.datasets_dir, self.cache_dir)
+
+    def evaluation_spec(self, planners: Sequence[str] | None = None) -> EvaluationSpec:
+        """Return what to evaluate: the configured planners, or these."""
+        return EvaluationSpec(
+            homes=self.homes_spec,
+            options=self.evaluation,
+            planners=tuple(map(self.spec, self.evaluation.planners if planners is None else planners)),
+            record=self.model_dump(mode="json"),
+            experiment=self.experiment,
+            seed=self.seed,
+            maps=self.maps,
+            likelihood=self.likelihood,
+            perception=self.perception,
+            belief=self.belief,
+            tracking=self.tracking,
+            output_dir=self.output_dir,
+            overwrite=self.overwrite,
+            dry_run=self.dry_run,
+            cache_limit_gb=self.cache_limit_gb,
+        )
 
 
 def load(composed: DictConfig) -> Config:
@@ -145,11 +175,12 @@ def _check_planners(config: Config) -> None:
         if name in PLANNERS:
             raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
         _check_planner(f"planner_variants.{name}", config.spec(name))
-    for spec in config.compared:
-        _check_planner("evaluation.planners", spec)
+    for name in config.evaluation.planners:
+        _check_planner("evaluation.planners", config.spec(name))
     for name in config.optimality.planners:
         _check_planner("optimality.planners", config.spec(name))
-    own = {spec.planner.rsplit(".", 1)[-1] for spec in config.compared if "." in spec.planner}
+    behind = [config.spec(name).planner for name in config.evaluation.planners]
+    own = {planner.rsplit(".", 1)[-1] for planner in behind if "." in planner}
     for name in config.planner.keys() - own:
         _check_planner("planner", PlannerSpec(name, name, config.planner[name]))
 

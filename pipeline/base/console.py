@@ -5,6 +5,7 @@ On a terminal the bar is drawn in place; elsewhere (a log file, CI) it becomes a
 
 import sys
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
 
@@ -57,7 +58,7 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-class Progress:
+class Progress(AbstractContextManager["Progress"]):
     """One bar (or a plain line now and then) for ``total`` things, ``done`` of which existed before."""
 
     def __init__(self, total: int, unit: str, done: int = 0) -> None:
@@ -98,9 +99,6 @@ class Progress:
             return ""
         speed = f"{rate:.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
         return f"{speed}, {duration((self._total - self._done) / rate)} left"
-
-    def __enter__(self) -> "Progress":
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -3,7 +3,6 @@
 The schema as a whole is `pipeline.base.config`.
 """
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -11,7 +10,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from mrtask.execution import perception
 from mrtask.tasks.templates import TEMPLATES
-from pipeline.base.planner_spec import PlannerSpec
 from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed
 
 SizeClass = Literal["small", "medium", "large"]
@@ -274,12 +272,6 @@ class PlannerVariant(Section):
     planner: str = Field(min_length=1)
     options: dict[str, Any] = Field(default_factory=dict)
     likelihood: OtherLikelihood = OtherLikelihood()
-
-    @classmethod
-    def of(cls, spec: PlannerSpec) -> Self:
-        """Return the variant that resolves to a spec."""
-        likelihood = OtherLikelihood(**asdict(spec.likelihood))
-        return cls(planner=spec.planner, options=dict(spec.options), likelihood=likelihood)
 
 
 class Cluster(Section):

@@ -1,1 +1,1 @@
-"""One evaluation: its plan, a pilot, its episodes on all workers and in one worker, and the running tally."""
+"""One evaluation: its plan, its episodes on all workers and in one worker, and the running tally."""

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from mrtask.planning.planners import PLANNERS
 from mrtask.planning.warm_up import Compilation, kernels_missing
 from pipeline.base import console
-from pipeline.base.planner_spec import PlannerSpec
+from pipeline.base.specs import PlannerSpec
 
 
 @contextmanager

@@ -1,27 +1,33 @@
 """Plans an evaluation: its episodes, what they share, and the identity that its rows carry."""
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
 
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
+from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
 from mrtask.tasks.words import read_task
+from pipeline.backends import registry, runs
+from pipeline.backends.pool import Pool
 from pipeline.backends.registry import RegisteredModel
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, content_hash
-from pipeline.base.sections import Evaluation, EvaluationHomes, OtherLikelihood, PlannerVariant
+from pipeline.base.config import UserError, content_hash
+from pipeline.base.sections import Evaluation, EvaluationHomes
+from pipeline.base.specs import EvaluationSpec, PlannerSpec
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, formula_objects
+from pipeline.inputs import homes
+from pipeline.store.artifacts import NotMade
+from pipeline.store.folder import Folder
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
-from pipeline.store.maps import MapOptions
+from pipeline.store.layout import IDENTITY
 from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
 from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
@@ -42,11 +48,9 @@ class EvaluationPlan:
     context: Context
     identity: RunIdentity
     homes: EvaluatedHomes
-    experiment: str
     contents_are_drawn: bool
     """Whether the homes' contents were drawn from the catalogue, so that their true likelihoods are known."""
-    config: Mapping[str, Any]
-    """The whole configuration as plain data, for the record."""
+    spec: EvaluationSpec
 
     @property
     def planners(self) -> tuple[str, ...]:
@@ -78,27 +82,50 @@ def check(options: Evaluation) -> None:
     check_files("evaluation.homes.assets", [options.homes.assets])
 
 
-def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -> EvaluationPlan:
-    """Return the configured evaluation on homes that the model has not seen.
+def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
+    """Return the plan of an evaluation; a dry run finds the homes, any other makes them if need be.
+
+    Raises:
+        NotMade: homes or model of a dry run do not exist yet.
+        UserError: the evaluation cannot be run as configured.
+    """
+    check(spec.options)
+    model = load_model(spec)
+    return plan_evaluation(spec, homes.make(spec.homes, None if spec.dry_run else pool), model)
+
+
+def load_model(spec: EvaluationSpec) -> RegisteredModel:
+    """Return the configured model; for a run that is continued, the version that it began with."""
+    if spec.dry_run and runs.is_new(spec.tracking.uri):
+        raise NotMade("no model is registered yet; python -m pipeline.train trains one")
+    begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
+    uri = spec.options.model_uri
+    if begun is not None and uri == registry.CHAMPION_URI:
+        uri = registry.version_uri(begun.model_version)
+    tracking = runs.open_tracking(spec.tracking.uri, spec.tracking.experiment_name)
+    return registry.load_registered(tracking, uri, spec.maps.cache_dir)
+
+
+def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredModel) -> EvaluationPlan:
+    """Return the plan of an evaluation on homes that the model has not seen.
 
     Raises:
         UserError: a size class has no home.
     """
-    options = config.evaluation
-    unseen, homes = _unseen_homes(options.homes, config.homes.source, home_set, model)
-    size_classes = _size_classes(options.size_classes, homes)
-    identity = _identity(config, model, unseen, size_classes)
+    options, configured, planners = spec.options, spec.homes.homes, spec.planners
+    unseen, evaluated = _unseen_homes(options.homes, configured.source, home_set, model)
+    size_classes = _size_classes(options.size_classes, evaluated)
+    identity = _identity(spec, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
-    planners = config.compared
-    drawn = config.homes.source == "generated" and config.homes.contents == "procthor" and not options.homes.files
+    drawn = configured.source == "generated" and configured.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
-    if any(spec.likelihood.source == "truth" for spec in planners):
+    if any(planner.likelihood.source == "truth" for planner in planners):
         truth = catalogue_truth() if drawn else counted_truth(unseen)
     context = Context(
         homes=unseen,
         table=build_table(model.model, unseen, objects),
-        maps=MapOptions.of(config.map, config.cache_dir),
-        seed=config.seed,
+        maps=spec.maps,
+        seed=spec.seed,
         trials=TrialOptions(
             templates=options.templates,
             formula=formula,
@@ -107,28 +134,27 @@ def plan_evaluation(config: Config, home_set: HomeSet, model: RegisteredModel) -
                 options.speed_m_per_s,
                 options.search_time_s,
                 options.interact_time_s,
-                config.perception.perception(),
+                spec.perception.perception(),
             ),
             tasks_per_home=options.tasks_per_home,
             unsearched_share=options.unsearched_share,
             cost=options.cost,
         ),
-        planners={spec.name: spec for spec in planners},
+        planners={planner.name: planner for planner in planners},
         truth=build_table(truth, unseen, objects) if truth is not None else None,
         home_order=options.homes.order,
-        adapt=AdaptOptions(**config.belief.model_dump(exclude={"adapt"})) if config.belief.adapt else None,
+        adapt=AdaptOptions(**spec.belief.model_dump(exclude={"adapt"})) if spec.belief.adapt else None,
         provenance=Provenance(
-            model.version, {spec.name: identity.config_hash(spec.name) for spec in planners}, code_version()
+            model.version, {name: identity.config_hash(name) for name in identity.planner}, code_version()
         ),
     )
     return EvaluationPlan(
-        keys=episode_keys(options, size_classes),
+        keys=episode_keys(spec, size_classes),
         context=context,
         identity=identity,
-        homes=homes,
-        experiment=config.experiment,
+        homes=evaluated,
         contents_are_drawn=drawn,
-        config=config.model_dump(mode="json"),
+        spec=spec,
     )
 
 
@@ -141,14 +167,14 @@ def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tup
     return options.formula, formula_objects(options.formula) if options.formula is not None else ()
 
 
-def episode_keys(options: Evaluation, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
+def episode_keys(spec: EvaluationSpec, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
     """Return all episodes; cells take turns, so that what is finished at any time is a fair sample of the whole."""
     return tuple(
-        EpisodeKey(size_class, robots, number, planner)
-        for number in range(options.trials_per_cell)
+        EpisodeKey(size_class, robots, number, planner.name)
+        for number in range(spec.options.trials_per_cell)
         for size_class in size_classes
-        for robots in options.robots
-        for planner in options.planners
+        for robots in spec.options.robots
+        for planner in spec.planners
     )
 
 
@@ -190,55 +216,45 @@ def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...
 
 
 def _identity(
-    config: Config, model: RegisteredModel, evaluated: Sequence[Home], size_classes: Sequence[str]
+    spec: EvaluationSpec, model: RegisteredModel, evaluated: Sequence[Home], size_classes: Sequence[str]
 ) -> RunIdentity:
-    options = config.evaluation
+    options, planners = spec.options, spec.planners
     ids = [home.id for home in evaluated]
-    asked = options.model_dump(include=WHICH_ROWS) | {"size_classes": size_classes}
+    asked = options.model_dump(include=WHICH_ROWS) | {
+        "planners": tuple(planner.name for planner in planners),
+        "size_classes": size_classes,
+    }
     return RunIdentity(
-        seed=config.seed,
-        map=config.map,
-        homes=config.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
+        seed=spec.seed,
+        map=spec.maps.grid,
+        homes=spec.homes.homes.model_dump(mode="json", exclude={"files", "assets", "map", "containers"}),
         evaluation=options.model_dump(mode="json", exclude=WITHOUT_EFFECT | WHICH_ROWS)
         | {
             "home_order": options.homes.order,
-            "belief": config.belief.model_dump() if config.belief.adapt else None,
-            "likelihood": config.likelihood.model_dump(),
-            "perception": config.perception.model_dump(),
+            "belief": spec.belief.model_dump() if spec.belief.adapt else None,
+            "likelihood": spec.likelihood.model_dump(),
+            "perception": spec.perception.model_dump(),
         },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
-        planner={spec.name: spec.options for spec in config.compared},
-        behind={spec.name: spec.planner for spec in config.compared},
-        likelihood={spec.name: asdict(spec.likelihood) for spec in config.compared},
+        planner={planner.name: planner.options for planner in planners},
+        behind={planner.name: planner.planner for planner in planners},
+        likelihood={planner.name: asdict(planner.likelihood) for planner in planners},
         model_version=model.version,
         code=source_hash(*(f"mrtask/{name}" for name in RESULT_SOURCES)),
         asked=(Asked(since=datetime.now(UTC).isoformat(timespec="seconds"), **asked),),
     )
 
 
-def covering(config: Config, identity: RunIdentity) -> Config:
-    """Return the configuration of a whole run, from that of one of the commands that extended it."""
-    own = {name: dict(one) for name, one in identity.planner.items() if identity.behind[name] == name}
-    variants = {
-        name: PlannerVariant(
-            planner=identity.behind[name],
-            options=dict(one),
-            likelihood=OtherLikelihood.model_validate(identity.likelihood[name]),
-        )
-        for name, one in identity.planner.items()
-        if name not in own
-    }
+def covering(spec: EvaluationSpec, identity: RunIdentity) -> EvaluationSpec:
+    """Return a whole run, from what one of the commands that extended it asked for."""
+    planners = (
+        PlannerSpec(name, identity.behind[name], options, LikelihoodChoice(**identity.likelihood_of(name)))
+        for name, options in identity.planner.items()
+    )
     asked = identity.asked
-    rows = {
-        "planners": tuple(identity.planner),
+    trials = {
         "size_classes": tuple(dict.fromkeys(name for one in asked for name in one.size_classes)),
         "robots": tuple(dict.fromkeys(team for one in asked for team in one.robots)),
         "trials_per_cell": max(one.trials_per_cell for one in asked),
     }
-    return config.model_copy(
-        update={
-            "planner": config.planner | {name.rsplit(".", 1)[-1]: one for name, one in own.items()},
-            "planner_variants": variants,
-            "evaluation": config.evaluation.model_copy(update=rows),
-        }
-    )
+    return replace(spec, planners=tuple(planners), options=spec.options.model_copy(update=trials))

@@ -1,42 +1,44 @@
-"""Maps the homes and runs the episodes of an evaluation, on all workers."""
+"""Maps the homes and runs the episodes of an evaluation, on all workers; a pilot estimates how long they take."""
 
-from collections.abc import Sequence
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
-from pipeline.base.sections import Evaluation
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
-from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, unfinished_row, warm
+from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, run_one, unfinished_row, warm
 from pipeline.store.episode_row import EpisodeRow
 from pipeline.store.records import Reach
 from pipeline.store.rows import EpisodeWriter
+
+PILOT_S = 20.0
+"""How long a pilot runs at least."""
 
 
 def map_homes(context: Context, pool: Pool) -> Reach:
     """Map all homes into the cache; return how many containers they have and how many can be reached."""
     # Compiled once here, so that the workers find the kernels in numba's cache.
     context.maps.map_of(context.homes[0])
-    containers = reachable = 0
-    for _, mapped in pool.values(map_home, range(len(context.homes)), context, unit="homes mapped"):
-        containers += mapped.containers
-        reachable += mapped.reachable
+    mapped = pool.values(map_home, range(len(context.homes)), context, unit="homes mapped")
+    containers, reachable = (sum(counts) for counts in zip(*(counts for _, counts in mapped), strict=True))
     reach = Reach(containers=containers, reachable=reachable)
     console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
     return reach
 
 
-def run_episodes(
-    plan: EvaluationPlan, missing: Sequence[EpisodeKey], options: Evaluation, pool: Pool, writer: EpisodeWriter
-) -> None:
+def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool, writer: EpisodeWriter) -> None:
     """Run the missing episodes and close the writer, also on an interrupt: finished episodes stay.
 
     Raises:
         UserError: too many episodes fail.
     """
+    options = plan.spec.options
     tally = Tally(plan.planners, options.max_failed_fraction)
     warm_kernels(plan.context, missing)
     done = len(plan.keys) - len(missing)
@@ -83,3 +85,31 @@ def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
                 warm(key, context)
             except Exception as error:  # the run continues: these episodes become rows of status error
                 console.line(f"{name} failed on {key.trial_id} already in the driver: {error}")
+
+
+def pilot(plan: EvaluationPlan, pool: Pool) -> Iterator[str]:
+    """Time some episodes and say how long all of them would take, a line for each planner and one for the whole."""
+    spent_s = _spent_s(plan, pool)
+    episodes = len(plan.keys) // len(plan.planners)
+    total_s = 0.0
+    for planner, pairs in spent_s.items():
+        planning_s, other_s = zip(*pairs, strict=True)
+        # Only the first episode in a home maps it, which most episodes need not do: hence the median.
+        mean_s = statistics.fmean(planning_s) + statistics.median(other_s)
+        total_s += mean_s * episodes / pool.slots
+        yield f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}"
+    yield f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)"
+
+
+def _spent_s(plan: EvaluationPlan, pool: Pool) -> dict[str, list[tuple[float, float]]]:
+    """Return, by planner, the seconds of planning and of everything else in each episode of at least `PILOT_S`."""
+    warm_kernels(plan.context, plan.keys)
+    spent_s: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
+    end_s = time.monotonic() + PILOT_S
+    for outcome in pool.run(run_one, plan.keys, plan.context, timeout_s=plan.spec.options.episode_timeout_s):
+        row = outcome.value if outcome is not None else None
+        if row is not None and row.planning_s is not None and row.wall_s is not None:
+            spent_s[row.planner].append((row.planning_s, row.wall_s - row.planning_s))
+        if time.monotonic() > end_s and len(spent_s) == len(plan.planners):
+            break
+    return spent_s

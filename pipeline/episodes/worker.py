@@ -20,9 +20,8 @@ from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import build_automaton
-from pipeline.base.planner_spec import PlannerSpec
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
-from pipeline.store.maps import MapOptions
 
 MAPS_KEPT = 8
 TRIALS_KEPT = 64
@@ -72,21 +71,10 @@ class Context:
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
 
 
-@dataclass(frozen=True)
-class MappedHome:
-    """What a home's map shows."""
-
-    home_id: str
-    size_class: str
-    containers: int
-    reachable: int
-
-
-def map_home(number: int, context: Context) -> MappedHome:
-    """Map the home of this number into the cache."""
-    home = context.homes[number]
-    reachable = context.maps.map_of(home).reachable
-    return MappedHome(home.id, home.size_class, len(reachable), int(reachable.sum()))
+def map_home(number: int, context: Context) -> tuple[int, int]:
+    """Map the home of this number into the cache; return how many containers it has and how many can be reached."""
+    reachable = context.maps.map_of(context.homes[number]).reachable
+    return len(reachable), int(reachable.sum())
 
 
 def run_chain(

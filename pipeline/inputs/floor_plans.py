@@ -11,15 +11,15 @@ from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.maps.home_map import HomeMap
 from pipeline.base import console
+from pipeline.base.specs import MapOptions
 from pipeline.store.folder import Folder
-from pipeline.store.home_files import HomeSource, distinct_layouts
-from pipeline.store.maps import MapOptions
+from pipeline.store.home_files import HomeFiles, distinct_layouts
 
 DRAWN_PER_CLASS = 4
 GALLERY = "gallery"
 
 
-def draw(source: HomeSource, title: str, maps: MapOptions, target: Folder) -> None:
+def draw(source: HomeFiles, title: str, maps: MapOptions, target: Folder) -> None:
     """Draw some homes of each size class, and a gallery of them called ``title``."""
     began_s = time.monotonic()
     mapped = _examples(source, maps)
@@ -35,7 +35,7 @@ def draw(source: HomeSource, title: str, maps: MapOptions, target: Folder) -> No
     console.result(target, time.monotonic() - began_s)
 
 
-def draw_side_by_side(sources: Mapping[str, HomeSource], maps: MapOptions, target: Folder) -> None:
+def draw_side_by_side(sources: Mapping[str, HomeFiles], maps: MapOptions, target: Folder) -> None:
     """Draw one gallery with a column of homes for each source, under its title."""
     with tempfile.TemporaryDirectory() as temporary:
         columns = {title: _examples(source, maps) for title, source in sources.items()}
@@ -44,7 +44,7 @@ def draw_side_by_side(sources: Mapping[str, HomeSource], maps: MapOptions, targe
     console.line(f"-> {target / GALLERY}.png")
 
 
-def _examples(source: HomeSource, maps: MapOptions) -> Sequence[tuple[Home, HomeMap]]:
+def _examples(source: HomeFiles, maps: MapOptions) -> Sequence[tuple[Home, HomeMap]]:
     """Return the first few homes of each size class, each of another layout, with their maps."""
     layouts = distinct_layouts(source.read())
     chosen = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]

@@ -17,14 +17,13 @@ from pipeline.backends.pool import Pool
 from pipeline.base import console
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import (
-    Contents,
     GeneratedHomes,
-    Homes,
     HousesInFiles,
     Procthor10kHomes,
     ProcthorHomes,
     RosMapHomes,
 )
+from pipeline.base.specs import HomesSpec
 from pipeline.store import artifacts
 from pipeline.store.artifacts import NotMade
 from pipeline.store.home_files import (
@@ -38,16 +37,15 @@ from pipeline.store.home_files import (
 from pipeline.store.home_set import HomeSet
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
-from pipeline.store.voted_contents import VotedContents, needs_download, say_match, voted_contents
+from pipeline.store.voted_contents import needs_download, say_match, voted_contents
 from pipeline.store.worker import generate_numbered
 
 GENERATED_FILE = "generated.jsonl.gz"
 FAULTS_LISTED = 20
 PROCTHOR_10K_ASSETS = "asset-database.json"
-_NOT_MADE = "the homes are not made yet; python -m pipeline.homes makes them"
 
 
-def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | None) -> HomeSet:
+def make(spec: HomesSpec, pool: Pool | None) -> HomeSet:
     """Return the homes, generated or read and then split, unless that was done before.
 
     Args:
@@ -59,9 +57,12 @@ def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | No
         MapError: a map cannot be read.
         VotesError: the files of the contents cannot be read.
     """
-    began_s = time.monotonic()
-    may_make = pool is not None
-    votes = _voted(contents, datasets_dir, may_make) if options.contents == "housekeep" else None
+    began_s, options, datasets_dir = time.monotonic(), spec.homes, spec.datasets_dir
+    votes = None
+    if options.contents == "housekeep":
+        if needs_download(spec.contents, datasets_dir):
+            _refuse_in_dry_run(pool)
+        votes = voted_contents(spec.contents, datasets_dir)
     maps = _read_maps(options).model_copy(update={"contents": votes}) if isinstance(options, RosMapHomes) else None
     learned_from = options.to_learn_from() if isinstance(options, RosMapHomes) else options
     houses = _houses(learned_from, datasets_dir, pool).model_copy(update={"contents": votes})
@@ -69,7 +70,7 @@ def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | No
     if (manifest := artifacts.find_manifest(folder, HomesManifest)) is not None:
         console.skipped(console.shown(folder))
     else:
-        _check(may_make)
+        _refuse_in_dry_run(pool)
         manifest = artifacts.make(folder, lambda _: _manifest(learned_from, houses))
         say_faults(houses)
         console.line(describe(manifest))
@@ -79,11 +80,12 @@ def make(options: Homes, contents: Contents, datasets_dir: Path, pool: Pool | No
     return HomeSet(folder, manifest, houses, maps)
 
 
-def outline(options: Homes, contents: Contents, datasets_dir: Path) -> str:
+def outline(spec: HomesSpec) -> str:
     """Return in a line which homes there are, or would be made."""
     try:
-        return f"there already: {describe(make(options, contents, datasets_dir, None).manifest)}"
+        return f"there already: {describe(make(spec, None).manifest)}"
     except NotMade:
+        options = spec.homes
         test = "the rest" if options.test is None else options.test
         return (
             f"would make or read {options.source} homes: {options.train} to train on, {options.validation} for early "
@@ -91,14 +93,11 @@ def outline(options: Homes, contents: Contents, datasets_dir: Path) -> str:
         )
 
 
-def _check(may_make: bool) -> None:
-    if not may_make:
-        raise NotMade(_NOT_MADE)
-
-
-def _voted(contents: Contents, datasets_dir: Path, may_make: bool) -> VotedContents:
-    _check(may_make or not needs_download(contents, datasets_dir))
-    return voted_contents(contents, datasets_dir)
+def _refuse_in_dry_run(pool: Pool | None) -> Pool:
+    """Return the pool where homes must be made or downloaded; raises `NotMade` where no pool is given."""
+    if pool is None:
+        raise NotMade("the homes are not made yet; python -m pipeline.homes makes them")
+    return pool
 
 
 def _set_key(options: GeneratedHomes | HousesInFiles, houses: HouseFiles) -> str:
@@ -123,7 +122,8 @@ def _houses(options: GeneratedHomes | HousesInFiles, datasets_dir: Path, pool: P
         houses = HouseFiles(files=options.files, assets=options.assets, skip_faulty=options.skip_faulty)
     else:
         folder = datasets_dir / "procthor10k"
-        _check(pool is not None or all((folder / name).is_file() for name in PROCTHOR_10K))
+        if not all((folder / name).is_file() for name in PROCTHOR_10K):
+            _refuse_in_dry_run(pool)
         houses = _downloaded(options, folder)
     console.headline("homes", ", ".join(path.name for path in houses.files))
     return houses
@@ -135,11 +135,10 @@ def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool | None) -
     key = content_hash([options.seed, options.total, hash_module(house.__name__)])
     folder = datasets_dir / "generated" / key
     if artifacts.find_manifest(folder, GeneratedHousesManifest) is None:
-        if pool is None:
-            raise NotMade(_NOT_MADE)
+        maker = _refuse_in_dry_run(pool)
 
         def fill(temporary: Path) -> GeneratedHousesManifest:
-            houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, pool))
+            houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, maker))
             return GeneratedHousesManifest(seed=options.seed, houses=houses, code_version=code_version())
 
         artifacts.make(folder, fill)

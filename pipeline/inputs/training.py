@@ -2,9 +2,8 @@
 
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
@@ -15,8 +14,9 @@ from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOpti
 from mrtask.likelihood.training import TrainedModel, fit, score, train_model
 from pipeline.backends import registry, runs
 from pipeline.base import console, interrupt
-from pipeline.base.config import CONF_DIR, Config, content_hash
-from pipeline.base.sections import Frequency, Model, Network, Tracking, Trainer
+from pipeline.base.config import CONF_DIR, content_hash
+from pipeline.base.sections import Frequency, Model, Network
+from pipeline.base.specs import TrainingSpec
 from pipeline.store import artifacts
 from pipeline.store.artifacts import NotMade
 from pipeline.store.records import TrainedModelRecord
@@ -25,88 +25,49 @@ from pipeline.store.version import code_version, source_hash
 SHOWN_METRICS = ("log_loss", "roc_auc")
 
 
-@dataclass(frozen=True)
-class Training:
-    """What is trained, how, and where it is kept."""
+def check(wanted: TrainingSpec) -> None:
+    """Refuse, before any work, an embedding that cannot be loaded and a device that this machine does not have.
 
-    model: Model
-    trainer: Trainer
-    seed: int
-    tracking: Tracking
-    datasets_dir: Path
-    cache_dir: Path
+    Raises:
+        InputError: with what is wrong and what is allowed.
+    """
+    if not isinstance(wanted.model, Frequency):
+        check_embedding(wanted.model.embedding)
+    if isinstance(wanted.model, Network) and wanted.trainer.device != "auto":
+        from mrtask.likelihood.network_training import find_device  # torch takes seconds to import
 
-    @property
-    def params(self) -> dict[str, Any]:
-        """What the run in MLflow says of it."""
-        return {
-            "model": self.model.model_dump(mode="json"),
-            "trainer": self.trainer.model_dump(mode="json"),
-            "seed": self.seed,
-        }
-
-    @property
-    def what(self) -> str:
-        """The kind of model, and the embedding that it is trained on."""
-        return self.model.kind if isinstance(self.model, Frequency) else f"{self.model.kind} on {self.model.embedding}"
-
-    def check(self) -> None:
-        """Refuse, before any work, an embedding that cannot be loaded and a device that this machine does not have.
-
-        Raises:
-            InputError: with what is wrong and what is allowed.
-        """
-        if not isinstance(self.model, Frequency):
-            check_embedding(self.model.embedding)
-        if isinstance(self.model, Network) and self.trainer.device != "auto":
-            from mrtask.likelihood.network_training import find_device  # torch takes seconds to import
-
-            find_device(self.trainer.device)
-
-    def options(self) -> TrainingOptions:
-        """Return model and trainer as the library's options; checkpoints go to the cache."""
-        of_network = {"layers", "dropout"}
-        network = self.trainer.model_dump() | self.model.model_dump(include=of_network)
-        return TrainingOptions(
-            **self.model.model_dump(exclude=of_network),
-            network=NetworkOptions(seed=self.seed, **network),
-            cache_dir=self.cache_dir,
-            checkpoint_dir=self.cache_dir / "checkpoints",
-        )
-
-    def preset(self, kind: str) -> TrainingOptions:
-        """Return the options of a kind's own preset, on the configured embedding and without checkpoints."""
-        preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
-        model = TypeAdapter[Model](Model).validate_python(preset)
-        configured = self.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
-        options = replace(self, model=model.model_copy(update=configured)).options()
-        return replace(options, checkpoint_dir=None)
-
-    def key(self, rows_folder: Path) -> str:
-        """Return the hash of all that a training on these rows depends on."""
-        rows_hash = read_manifest(rows_folder).content_hash
-        code = source_hash("mrtask/likelihood")
-        return content_hash([rows_hash, *self.params.values(), code, self.tracking.model_dump()])
-
-    def folder(self, key: str) -> Path:
-        """Return where the record of a training with this key is."""
-        return self.datasets_dir / "models" / f"{self.model.kind}-{key}"
+        find_device(wanted.trainer.device)
 
 
-def training(config: Config) -> Training:
-    """Return the configured training."""
-    return Training(config.model, config.trainer, config.seed, config.tracking, config.datasets_dir, config.cache_dir)
+def options(wanted: TrainingSpec) -> TrainingOptions:
+    """Return model and trainer as the library's options; checkpoints go to the cache."""
+    of_network = {"layers", "dropout"}
+    network = wanted.trainer.model_dump() | wanted.model.model_dump(include=of_network)
+    return TrainingOptions(
+        **wanted.model.model_dump(exclude=of_network),
+        network=NetworkOptions(seed=wanted.seed, **network),
+        cache_dir=wanted.cache_dir,
+        checkpoint_dir=wanted.cache_dir / "checkpoints",
+    )
 
 
-def train(rows_folder: Path, wanted: Training) -> TrainedModelRecord:
+def preset(wanted: TrainingSpec, kind: str) -> TrainingOptions:
+    """Return the options of a kind's own preset, on the configured embedding and without checkpoints."""
+    preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
+    model = TypeAdapter[Model](Model).validate_python(preset)
+    configured = wanted.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
+    of_kind = options(replace(wanted, model=model.model_copy(update=configured)))
+    return replace(of_kind, checkpoint_dir=None)
+
+
+def train(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
     """Return the record of the model trained on a dataset: trained and registered, unless the registry has it already.
 
     Raises:
         TrackingError: MLflow's store cannot be used.
         DatasetError: the dataset is missing or damaged.
     """
-    began_s, key = time.monotonic(), wanted.key(rows_folder)
-    folder = wanted.folder(key)
+    began_s, (key, folder) = time.monotonic(), _place(rows_folder, wanted)
     console.headline("train", wanted.what)
     tracking = runs.open_tracking(wanted.tracking.uri, wanted.tracking.experiment_name)
     record = artifacts.find_manifest(folder, TrainedModelRecord)
@@ -115,15 +76,15 @@ def train(rows_folder: Path, wanted: Training) -> TrainedModelRecord:
         return record
     if record is not None:  # of a version that is no longer in the registry
         shutil.rmtree(folder)
-    record = artifacts.make(folder, lambda _: _train_and_register(wanted, rows_folder, tracking, key))
+    record = artifacts.make(folder, lambda _: _register(wanted, rows_folder, tracking, key))
     _say(record)
     console.result(f"{registry.MODEL_NAME} version {record.model_version}", time.monotonic() - began_s)
     return record
 
 
-def find(rows_folder: Path, wanted: Training) -> TrainedModelRecord:
+def find(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
     """Return the record of the model trained on a dataset; raises `NotMade` where it was not trained yet."""
-    record = artifacts.find_manifest(wanted.folder(wanted.key(rows_folder)), TrainedModelRecord)
+    record = artifacts.find_manifest(_place(rows_folder, wanted)[1], TrainedModelRecord)
     if record is None:
         raise NotMade(f"{wanted.what} is not trained yet; python -m pipeline.train trains it")
     return record
@@ -138,12 +99,19 @@ def find_record(datasets_dir: Path, tracking_uri: str, model_version: str) -> Tr
     return None
 
 
-def _train_and_register(wanted: Training, rows_folder: Path, tracking: runs.Tracking, key: str) -> TrainedModelRecord:
+def _place(rows_folder: Path, wanted: TrainingSpec) -> tuple[str, Path]:
+    """Return the hash of all that a training on these rows depends on, and the folder of its record."""
+    rows_hash, code = read_manifest(rows_folder).content_hash, source_hash("mrtask/likelihood")
+    key = content_hash([rows_hash, *wanted.params.values(), code, wanted.tracking.model_dump()])
+    return key, wanted.datasets_dir / "models" / f"{wanted.model.kind}-{key}"
+
+
+def _register(wanted: TrainingSpec, rows_folder: Path, tracking: runs.Tracking, key: str) -> TrainedModelRecord:
     data = read_dataset(rows_folder)
     tags = {"stage": "train", "training_key": key, "code_version": code_version()}
     with runs.run(tracking, f"train {wanted.model.kind}", wanted.params, tags) as run:
         runs.log_dataset(run, data, rows_folder)
-        trained = _train(wanted.options(), data, run)
+        trained = _train(options(wanted), data, run)
         runs.log_training(run, trained, data)
         console.line("registering")
         registration = registry.register_model(run, trained, data)

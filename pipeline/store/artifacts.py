@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from pipeline.base.config import UserError
-from pipeline.store.records import Record, RecordError
+from pipeline.store.folder import Folder
+from pipeline.store.records import Record
 
 MANIFEST = "manifest.json"
 
@@ -26,13 +27,7 @@ class NotMade(UserError):
 
 def find_manifest(folder: Path, kind: type[R]) -> R | None:
     """Return the manifest of a finished folder; None where this version can read none and must make the folder."""
-    path = folder / MANIFEST
-    if not path.is_file():
-        return None
-    try:
-        return kind.from_json(path.read_bytes(), str(path))
-    except RecordError:
-        return None
+    return kind.find(Folder(str(folder)), MANIFEST)
 
 
 def make(folder: Path, fill: Callable[[Path], R]) -> R:

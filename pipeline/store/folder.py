@@ -50,21 +50,17 @@ class Folder:
         relative = os.path.relpath(self.location)
         return self.location if relative.startswith("..") else relative
 
-    def _filesystem(self) -> tuple[Any, str]:
+    @contextmanager
+    def _opened(self, problem: str, advice: str = "") -> Iterator[tuple[Any, str]]:
+        """Give the file system and the path in it; turn its exceptions, of which each has its own, into `UserError`."""
         try:
             filesystem, path = fsspec.core.url_to_fs(self.location)
-        except ImportError as error:
-            hint = "; pip install 'mrtask[s3]' brings it" if self.location.startswith("s3") else ""
+        except (ImportError, ValueError) as error:
+            is_s3 = isinstance(error, ImportError) and self.location.startswith("s3")
+            hint = "; pip install 'mrtask[s3]' brings it" if is_s3 else ""
             raise UserError(f"output_dir={self.location}: {error}{hint}") from error
-        except ValueError as error:
-            raise UserError(f"output_dir={self.location}: {error}") from error
-        return filesystem, str(path).rstrip("/")
-
-    @contextmanager
-    def _errors_explained(self, problem: str, advice: str) -> Iterator[None]:
-        """Turn the exceptions of a file system or store, each of which has its own, into `UserError`."""
         try:
-            yield
+            yield filesystem, str(path).rstrip("/")
         except UserError:
             raise
         except Exception as error:
@@ -79,9 +75,8 @@ class Folder:
         Raises:
             UserError: the folder cannot be written, or the disk is full.
         """
-        filesystem, path = self._filesystem()
         advice = "; make room or give another place by output_dir=..., then run the same command again to continue"
-        with self._errors_explained(f"cannot write {self.location}/{name}", advice):
+        with self._opened(f"cannot write {self.location}/{name}", advice) as (filesystem, path):
             if not self.is_local:
                 if self.location.partition("://")[0] not in OBJECT_STORES:
                     filesystem.makedirs(path, exist_ok=True)
@@ -97,8 +92,7 @@ class Folder:
 
     def read(self, name: str) -> bytes | None:
         """Return a file's content, None where there is no such file."""
-        filesystem, path = self._filesystem()
-        with self._errors_explained(f"cannot read {self.location}/{name}", ""):
+        with self._opened(f"cannot read {self.location}/{name}") as (filesystem, path):
             try:
                 content: bytes = filesystem.cat_file(f"{path}/{name}")
             except (FileNotFoundError, NotADirectoryError):
@@ -107,8 +101,7 @@ class Folder:
 
     def names(self) -> list[str]:
         """Return the sorted names of the files and folders here; none where the folder is missing."""
-        filesystem, path = self._filesystem()
-        with self._errors_explained(f"cannot list {self.location}", ""):
+        with self._opened(f"cannot list {self.location}") as (filesystem, path):
             try:
                 return sorted(Path(entry).name for entry in filesystem.ls(path, detail=False, refresh=True))
             except (FileNotFoundError, NotADirectoryError):
@@ -116,15 +109,13 @@ class Folder:
 
     def remove(self, name: str) -> None:
         """Remove a file, or a folder with its content, if it exists."""
-        filesystem, path = self._filesystem()
-        with self._errors_explained(f"cannot remove {self.location}/{name}", ""):
+        with self._opened(f"cannot remove {self.location}/{name}") as (filesystem, path):
             if filesystem.exists(f"{path}/{name}"):
                 filesystem.rm(f"{path}/{name}", recursive=True)
 
     def rename(self, old: str, new: str) -> None:
         """Rename a file."""
-        filesystem, path = self._filesystem()
-        with self._errors_explained(f"cannot rename {self.location}/{old}", ""):
+        with self._opened(f"cannot rename {self.location}/{old}") as (filesystem, path):
             filesystem.mv(f"{path}/{old}", f"{path}/{new}")
 
     def upload(self, source: Path) -> None:

@@ -1,46 +1,28 @@
 """Where homes come from: files of houses or of maps, read into homes and checked.
 
-Each kind of file is a `HomeSource`: a frozen model that a record can hold and that reads the same homes again.
+Each kind of file is a frozen model that a record can hold and that reads the same homes again; `HomeFiles` is any.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.maps.ros_map import read_map_worlds
 from pipeline.base import console
 from pipeline.base.config import UserError
+from pipeline.base.values import Section
 from pipeline.store.voted_contents import VotedContents
 
 SKIP_KEYS = "homes.skip_faulty=true (or evaluation.homes.skip_faulty=true)"
 
 
-class HomeSource(Protocol):
-    """Files that hold homes."""
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """All files that it reads."""
-        ...
-
-    def read(self) -> tuple[Home, ...]:
-        """Return the distinct homes, in the order of the files; raises `InputError` where they cannot be read."""
-        ...
-
-    def faults(self) -> tuple[str, ...]:
-        """Return what is wrong with the homes that were left out."""
-        ...
-
-
-class _Files(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Files(Section):
     contents: VotedContents | None = None
     """What the containers hold instead of the contents in the files."""
 
@@ -148,7 +130,7 @@ def check_files(key: str, paths: Iterable[Path | None]) -> None:
             raise UserError(f"{key}: no such file: {path}")
 
 
-def say_faults(source: HomeSource) -> None:
+def say_faults(source: HomeFiles) -> None:
     """Say how many faulty homes were left out, and what is wrong with the first."""
     if faults := source.faults():
         console.line(f"faulty homes left out: {len(faults)}; the first: {faults[0]}")

@@ -46,11 +46,6 @@ def forget_episodes(folder: Folder) -> None:
         folder.remove(name)
 
 
-def runs(folder: Folder, name: str, key: str) -> Folder:
-    """Return the folder of one of the evaluations that arms share."""
-    return folder / RUNS / f"{name}-{key}"
-
-
 def cells(folder: Folder) -> list[Folder]:
     """Return the folders of a sweep's cells; none where there was no sweep."""
     return [folder / CELLS / name for name in (folder / CELLS).names()]

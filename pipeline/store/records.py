@@ -13,6 +13,7 @@ from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Map
+from pipeline.base.values import Section
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import HomeFiles
 from pipeline.store.rows import Key, differences
@@ -70,12 +71,6 @@ class Record(BaseModel):
     def write(self, folder: Folder, name: str) -> None:
         """Write the record as a file of a folder."""
         folder.write(name, self.to_json())
-
-
-class _Part(BaseModel):
-    """A part of a record."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
 
 class GeneratedHousesManifest(Record):
@@ -143,7 +138,7 @@ def _listed(words: Iterable[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-class Asked(_Part):
+class Asked(Section):
     """The episodes that a command asked for: each of these planners on each of these trials."""
 
     since: str
@@ -208,7 +203,7 @@ class RunIdentity(Record):
         """Return the hash that a planner's rows carry; without a planner, the hash of everything."""
         return content_hash(self.content(None if planner is None else [planner]))
 
-    def likelihood_of(self, planner: str) -> JsonObject:
+    def likelihood_of(self, planner: str) -> dict[str, Any]:
         """Return which likelihoods a planner plans with."""
         common: Any = self.evaluation["likelihood"]
         return {**common, **{key: one for key, one in self.likelihood[planner].items() if one is not None}}
@@ -235,7 +230,7 @@ class RunIdentity(Record):
         return self.model_copy(update={**parts, "asked": (*self.asked, *more)})
 
 
-class EvaluatedHomes(_Part):
+class EvaluatedHomes(Section):
     """The homes that planners were evaluated on."""
 
     source: str
@@ -250,7 +245,7 @@ class EvaluatedHomes(_Part):
     by_size_class: Mapping[str, int]
 
 
-class Reach(_Part):
+class Reach(Section):
     """How many containers the evaluated homes have, and how many of them a robot can reach."""
 
     containers: int
@@ -262,7 +257,7 @@ class Reach(_Part):
         return self.reachable / self.containers
 
 
-class Machine(_Part):
+class Machine(Section):
     """What the driver ran on."""
 
     cpus: int

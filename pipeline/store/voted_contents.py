@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from mrtask.homes import refurnish
 from mrtask.homes.download import HOUSEKEEP, SPLITS_FILE, VOTES_FILE, DownloadError, fetch
@@ -19,14 +18,13 @@ from mrtask.sources import hash_module
 from pipeline.base import console
 from pipeline.base.config import UserError
 from pipeline.base.sections import Contents
+from pipeline.base.values import Section
 
 FOLDER = "housekeep"
 
 
-class VotedContents(BaseModel):
+class VotedContents(Section):
     """Contents drawn from the votes in ``file``, of the objects of one split or all, as `Refurnisher` draws them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     file: Path
     splits: Path | None

@@ -23,7 +23,7 @@ STEPS = "ablation.steps=[{name: first, overrides: 'planner.pouct_paper.explorati
 
 
 def laid_out(config: Config) -> Sequence[SharedRun]:
-    return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT).shared
+    return lay_out(config, [(arm.name, arm.overrides) for arm in protocols(config.ablation)], COMPARED, WHAT)
 
 
 def test_arms_with_the_same_trials_share_an_evaluation_and_the_rows_of_equal_planners() -> None:
@@ -65,7 +65,7 @@ def test_an_ablation_that_is_asked_for_more_goes_on_in_the_same_folders() -> Non
 def test_arms_can_differ_in_what_planners_are_given() -> None:
     config = configured()
     arms = [("as it is", ()), ("noisy", ("likelihood.noise_sd=2",)), ("same", ("likelihood.noise_sd=0",))]
-    [shared] = lay_out(config, arms, ("pouct",), "test").shared
+    [shared] = lay_out(config, arms, ("pouct",), "test")
     assert list(shared.variants) == ["pouct:as-it-is", "pouct:noisy"]
     applied = shared.configured()
     assert applied.likelihood.noise_sd == 0
@@ -75,7 +75,7 @@ def test_arms_can_differ_in_what_planners_are_given() -> None:
 def test_arms_whose_robots_see_otherwise_are_evaluations_of_their_own() -> None:
     poor = ("perception.true_positive_prob=0.7",)
     arms = [("sees all", ()), ("misses", poor), ("same", ("planner.known.samples=9",))]
-    sees_all, misses = lay_out(configured(), arms, ("pouct",), "test").shared
+    sees_all, misses = lay_out(configured(), arms, ("pouct",), "test")
     assert [arm for arm, _ in sees_all.arms] == ["sees all", "same"]
     assert misses.configured().perception.true_positive_prob == 0.7
     assert misses.configured().output_dir != sees_all.configured().output_dir

@@ -13,11 +13,11 @@ from mrtask.likelihood.adapt import AdaptOptions, adapted, sightings_of
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.rows import distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.table import build_table
-from pipeline.base.planner_spec import PlannerSpec
+from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
-from pipeline.store.maps import MapOptions
+from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 
 TASKS = 3
@@ -32,7 +32,7 @@ def context(generated_homes: list[Home], tmp_path_factory: pytest.TempPathFactor
     return Context(
         homes=homes,
         table=build_table(FrequencyModel(distinct_triples(rows)), homes),
-        maps=MapOptions(0.1, 0.2, tmp_path_factory.mktemp("cache")),
+        maps=MapOptions(configured("map.resolution_m=0.1").map, tmp_path_factory.mktemp("cache")),
         seed=0,
         trials=TrialOptions(tasks_per_home=TASKS),
         planners={"learned_myopic": PlannerSpec("learned_myopic", "learned_myopic")},
@@ -83,7 +83,7 @@ def test_a_belief_that_does_not_adapt_runs_each_task_by_itself(context: Context)
 
 def test_what_is_run_in_one_go(context: Context) -> None:
     every = keys(*range(6))
-    plan = EvaluationPlan(every, context, None, None, "", True, {})  # type: ignore[arg-type]
+    plan = EvaluationPlan(every, context, None, None, True, None)  # type: ignore[arg-type]
     assert plan.chains(every) == [every[:3], every[3:]]
     assert plan.chains(every[4:5]) == [every[3:]], "a chain with a gap is run from its beginning"
     off = replace(plan, context=replace(context, adapt=None))

@@ -70,7 +70,7 @@ def votes_and_houses(tmp_path: Path) -> tuple[str, ...]:
 
 @pytest.fixture(autouse=True)
 def _a_short_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.episodes.pilot.PILOT_S", 0.1)
+    monkeypatch.setattr("pipeline.episodes.runner.PILOT_S", 0.1)
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -9,6 +9,7 @@ from mrtask.cli import STAGES
 from pipeline.store.folder import Folder, locked
 from tests.pipeline.harness import Cli, Workspace
 
+REAL_HOMES = {"realism": ("homes=procthor", "homes.files=[real.jsonl]")}
 LEAVE_OUTPUT_DIR_ALONE = {"homes": "to draw", "dataset": "never", "train": "never"}
 
 
@@ -21,5 +22,6 @@ def test_a_stage_that_writes_into_output_dir_holds_it(
     if declared == "never":
         return
     with locked(Folder(str(tmp_path / "busy")), tmp_path):
-        done = cli(stage, *workspace.overrides, "draw=true", f"output_dir={tmp_path / 'busy'}", cwd=workspace.path)
+        options = (*workspace.overrides, *REAL_HOMES.get(stage, ()), "draw=true", f"output_dir={tmp_path / 'busy'}")
+        done = cli(stage, *options, cwd=workspace.path)
     assert done.code == 2 and "is in use by another run" in done.err

@@ -1,5 +1,6 @@
 """Sweeps: checked as a whole before they start, one folder and one MLflow child run per cell, one report."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import mlflow
@@ -75,15 +76,24 @@ def run_cells(*, fail: set[str], dry_run: bool = False, compares: bool = True) -
     """Runs a made-up stage on cells ``seed=0`` to ``seed=2``: what it ran with, what was compared, and the sweep."""
     ran, compared = [], []
 
-    def run(config: Config, session: Session) -> None:
-        ran.append(f"{session.cell.text} {session.cell.title} {session.cell.parent_run_id} {config.output_dir}")
-        if session.cell.title in fail:
-            raise UserError("no home")
+    @dataclass
+    class Made:
+        output_dir: str
 
-    def compare(config: Config, run_id: str | None) -> None:
-        compared.append(f"{config.output_dir} {run_id}")
+        def run(self, session: Session) -> None:
+            ran.append(f"{session.cell.text} {session.cell.title} {session.cell.parent_run_id} {self.output_dir}")
+            if session.cell.title in fail:
+                raise UserError("no home")
 
-    stage = Stage(run, lambda config, session: (), locks="never", compare_cells=compare if compares else None)
+        def outline(self, session: Session) -> tuple[()]:
+            return ()
+
+    class Compared(Made):
+        def run(self, session: Session) -> None:
+            compared.append(f"{self.output_dir} {session.cell.parent_run_id}{session.cell.text}")
+
+    compare = Stage(lambda config: Compared(config.output_dir), locks="never")
+    stage = Stage(lambda config: Made(config.output_dir), locks="never", compare=compare if compares else None)
     config = Config.model_construct(output_dir="/out", dry_run=dry_run)
     sweep = Sweep(frozenset({"a.seed"}), config, cells=3, parent_run_id="parent")
     for seed in range(3):

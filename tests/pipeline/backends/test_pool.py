@@ -153,7 +153,12 @@ def test_an_address_where_nobody_answers_is_refused_at_once(address: str) -> Non
 
 
 @pytest.mark.parametrize(
-    "problem", [ConnectionError("no cluster found"), RuntimeError("Version mismatch: 2.60.0, 2.9")]
+    "problem",
+    [
+        ConnectionError("no cluster found"),
+        RuntimeError("Version mismatch: 2.60.0, 2.9"),
+        Exception("The current node timed out during startup"),
+    ],
 )
 def test_what_ray_says_against_a_cluster_is_passed_on(problem: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(**options: Any) -> None:

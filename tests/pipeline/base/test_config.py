@@ -13,7 +13,7 @@ from mrtask.planning.planners import PLANNERS
 from mrtask.planning.pouct import PouctOptions
 from pipeline.base.config import CONF_DIR, UserError, content_hash, load
 from pipeline.base.sections import ModelKind
-from pipeline.inputs.training import training
+from pipeline.inputs import training
 from tests.pipeline.configured import composed_by_hydra, configured
 
 CHOICES = sorted(path for path in CONF_DIR.glob("*/*.yaml") if len(list(path.parent.glob("*.yaml"))) > 1)
@@ -111,7 +111,7 @@ def test_model_kinds_and_training_options_fit_the_library() -> None:
     for kind in KINDS:
         assert configured(f"model={kind}").model.kind == kind
     config = configured("model=mlp", "seed=3", "trainer.max_epochs=7")
-    options = training(config).options()
+    options = training.options(config.training_spec)
     assert isinstance(options, TrainingOptions)
     assert (options.kind, options.network.seed, options.network.max_epochs) == ("mlp", 3, 7)
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import build_map
+from pipeline.base.specs import MapOptions
 from pipeline.inputs.floor_plans import _examples
-from pipeline.store.maps import MapOptions
 from tests.pipeline.configured import configured
 
 
@@ -29,7 +29,7 @@ class Two:
 
 
 def test_a_layout_is_drawn_once_on_the_configured_map(two_room_home: Home, tmp_path: Path) -> None:
-    maps = MapOptions.of(configured("map.ways=soft", "map.resolution_m=0.1").map, tmp_path)
+    maps = MapOptions(configured("map.ways=soft", "map.resolution_m=0.1").map, tmp_path)
     [(home, home_map)] = _examples(Two(two_room_home), maps)
     assert home == two_room_home
     soft, shortest = (build_map(home, 0.1, 0.2, ways) for ways in ("soft", "shortest"))

@@ -13,7 +13,6 @@ from mrtask.homes.procthor import HouseError
 from pipeline.base.config import UserError
 from pipeline.store.home_files import (
     HomeFiles,
-    HomeSource,
     HouseFiles,
     MapFiles,
     check_files,
@@ -97,7 +96,7 @@ def test_a_map_whose_objects_are_listed_gives_one_home(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["houses", "maps"])
 def test_a_recorded_source_reads_the_same_homes(kind: str, tmp_path: Path, houses: list[dict[str, Any]]) -> None:
-    source: HomeSource
+    source: HomeFiles
     if kind == "houses":
         source = HouseFiles(files=(write(tmp_path / "a.jsonl", houses),), skip_faulty=True)
     else:
