@@ -44,6 +44,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         floor=_floor(replay, sheet),
         min_label_area_m2=MIN_LABEL_AREA_M2,
         runs=[_run_view(run, replay, sheet) for run in replay.runs],
+        has_belief=any(run.decisions for run in replay.runs),
         automaton=draw_automaton(replay.automaton),
         state_radius=RADIUS,
         robot_colors=[ROBOT_COLORS[robot % len(ROBOT_COLORS)] for robot in range(replay.robots)],
