@@ -69,6 +69,29 @@ def test_filters(browser, page_path):
         assert page.text_content(".x-name") == "nonlearned_myopic (cells)"
 
 
+A4_PX = 210 / 25.4 * 96
+MARGINS_PX = 2 * 12 / 25.4 * 96
+"""As the page's print style asks for them."""
+
+
+def test_paper_has_every_column_and_keeps_captions_with_figures(browser, page_path):
+    width = int(A4_PX - MARGINS_PX)
+    with opened(browser, page_path, images=True, viewport={"width": width, "height": 1000}) as page:
+        page.locator(".filters").wait_for()
+        page.emulate_media(media="print")
+        cells = page.locator("table:visible :is(th, td)").evaluate_all(
+            "cells => cells.map(cell => [cell.getBoundingClientRect().right, cell.scrollWidth - cell.clientWidth])"
+        )
+        assert len(cells) > 300 and max(right for right, _ in cells) <= width + 1, "a column is off the paper"
+        assert max(hidden for _, hidden in cells) <= 0, "a value runs into the next column"
+        clipped = "all => all.filter(each => getComputedStyle(each).overflowX !== 'visible').length"
+        assert page.locator(".scroll").evaluate_all(clipped) == 0
+        apart = "all => all.filter(each => getComputedStyle(each).breakInside !== 'avoid').length"
+        assert page.locator("figure").count() > 3 and page.locator("figure").evaluate_all(apart) == 0
+        assert page.locator("details .scroll").first.is_visible(), "paper cannot be unfolded"
+        assert len(page.pdf(format="A4")) > 10_000
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_fits_a_telephone(browser, page_path, scheme):
     with opened(browser, page_path, images=True, viewport={"width": 400, "height": 900}, color_scheme=scheme) as page:
