@@ -129,7 +129,8 @@ def test_whole_report(tmp_path, two_room_home):
     assert "pouct: (samples: 1000)" in text and "cpus: 2" in text
     assert "log loss (lower is better)" in text and "does not beat" not in text
     table = pd.read_csv(tmp_path / "table.csv")
-    assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
+    assert len(table) == (9 + 1) * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
+    assert "their ranks are split evenly between both signs (SciPy's zsplit)" in text
     files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     for name in ("index.html", "table.csv", "methods.tex", "methods.md", "references.bib", "tables/paper.tex"):
         assert name in files, name
