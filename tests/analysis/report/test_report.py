@@ -11,6 +11,7 @@ import pytest
 from markupsafe import Markup
 
 from mrtask import files
+from mrtask.analysis.drawing.floor_plans import passages, ways_out
 from mrtask.analysis.page import exhibits
 from mrtask.analysis.page.exhibits import Content
 from mrtask.analysis.report import report_page as library
@@ -305,7 +306,11 @@ def test_every_trial_can_be_looked_up(tmp_path, two_room_home, blank_pictures):
     packed = re.search(r'id="trials-data"[^>]*>([^<]*)<', text)[1]
     data = json.loads(gzip.decompress(base64.b64decode(packed)))
     by_key = frame.set_index(["trial_id", "planner"])
-    assert data["names"] == ["pouct", "learned_myopic"]
+    assert data["names"] == ["learned_myopic", "pouct"], "in the order of the tables"
+    assert data["compared"] == [1, 0], "the planner, then the baseline"
+    [home] = data["homes"]
+    assert len(home["doors"]) == len(passages(two_room_home)) > 0
+    assert len(home["ways_out"]) == len(ways_out(two_room_home))
     for trial in data["trials"]:
         assert trial["task"] == "Mug and Book" and trial["robots"] == 1
         for name, cost, status in zip(data["names"], trial["cost"], trial["status"], strict=True):

@@ -50,9 +50,49 @@ def test_a_point_leads_to_its_trial(browser, page_path):
         assert panel.locator(".command").inner_text() == (
             f"python -m pipeline.replay trial_id={trial_id} output_dir=outputs/x"
         )
-        assert panel.locator(".small-map polyline").count() == 2, "the planner's path and the baseline's"
+        assert panel.locator(".small-map polyline:not(.door)").count() == 2, "the planner's path and the baseline's"
         assert panel.locator(".small-map title").first.text_content() == EVIL
-        assert panel.locator("tr").count() == 3
+        assert panel.locator("tr th").all_inner_texts() == ["nonlearned_myopic", "learned_myopic", "pouct"]
+        assert panel.locator(".small-map").first.locator(".door").count() == 1
+
+
+def test_the_legend_stays_where_it_is_when_a_point_is_chosen(browser, page_path):
+    with opened(browser, page_path, images=True, viewport={"width": 400, "height": 900}) as page:
+        page.locator(".filters").wait_for()
+        before = page.locator(".teams").bounding_box()
+        page.locator(".dots circle").first.dispatch_event("click")
+        assert page.locator(".trial").bounding_box()["height"] > 300
+        assert page.locator(".teams").bounding_box() == before
+
+
+def test_a_filter_keeps_the_chosen_point(browser, page_path):
+    with opened(browser, page_path, images=True) as page:
+        page.locator(".filters").wait_for()
+        page.locator(".dots circle", has=page.locator("title", has_text="large-2-001")).dispatch_event("click")
+        for size_class, marked in (("large", 1), ("small", 0), ("all", 1)):
+            page.select_option("select[name=class]", label=size_class)
+            assert page.locator(".dots .chosen").count() == marked
+            assert page.inner_text(".trial h3") == "large-2-001"
+        assert page.locator(".dots .chosen title").text_content().startswith("large-2-001")
+
+
+def test_points_are_reached_by_keyboard(browser, page_path):
+    with opened(browser, page_path, images=True) as page:
+        page.locator(".filters").wait_for()
+        page.locator("select[name=template]").focus()
+        page.keyboard.press("Tab")
+        focused = "document.activeElement.querySelector('title').textContent.split(':')[0]"
+        first = page.evaluate(focused)
+        page.keyboard.press("ArrowRight")
+        second = page.evaluate(focused)
+        assert second != first
+        page.keyboard.press("Enter")
+        assert page.inner_text(".trial h3") == second
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press(" ")
+        assert page.inner_text(".trial h3") == first
+        page.keyboard.press("Tab")
+        assert not page.evaluate("document.activeElement.matches('.dots circle')"), "one stop for all points"
 
 
 def test_filters(browser, page_path):
