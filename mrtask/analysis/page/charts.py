@@ -35,15 +35,15 @@ class RoundLogTicks(LogLocator):
     Within a decade they are evenly spaced; over a few decades they are at 1, 2 and 5 times a power of ten.
     """
 
-    def tick_values(self, vmin: float, vmax: float) -> NDArray[np.float64]:
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         """The ticks from ``vmin`` to ``vmax``."""
         low, high = sorted((vmin, vmax))
         decades = np.log10(high / low) if low > 0 else np.inf
         if decades <= 1:
             ticks = MaxNLocator(MAX_ROUND_TICKS, steps=[1, 2, 5, 10]).tick_values(low, high)
-            return np.array([tick for tick in ticks if tick > 0])
+            return [tick for tick in ticks if tick > 0]
         self.set_params(subs=(1.0, 2.0, 5.0) if decades <= MAX_DECADES_WITH_PARTS else (1.0,))
-        return np.asarray(super().tick_values(vmin, vmax))
+        return super().tick_values(vmin, vmax)
 
 
 def panels(width_in: float, height_in: float, rows: int = 1, columns: int = 1, **sharing: Any) -> tuple[Figure, Any]:

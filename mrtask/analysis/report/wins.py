@@ -71,9 +71,7 @@ PAIR_COLUMNS = (
     Column[Comparison](
         lambda pair: pair.improvement, ("mean cost", "improvement, 95 %"), digits=1, unit=" %", higher_is_better=True
     ),
-    Column[Comparison](
-        lambda pair: pair.p_value, ("mean cost", "Wilcoxon p"), text=p_value_text, details=without_ties
-    ),
+    Column[Comparison](lambda pair: pair.p_value, ("mean cost", "Wilcoxon p"), text=p_value_text, details=without_ties),
 )
 
 

@@ -1,5 +1,7 @@
 """The parts that all charts share."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -56,4 +58,4 @@ def test_a_logarithmic_axis_has_a_few_plain_numbers_however_long_it_is(least, de
         assert all(seconds(tick.get_loc()) == text for tick, text in zip(ticks, texts, strict=True))
         assert not any(label.get_text() for label in axis.get_minorticklabels())
         boxes = sorted((tick.label1.get_window_extent() for tick in ticks), key=lambda box: (box.x0, box.y0))
-        assert not any(one.overlaps(next_one) for one, next_one in zip(boxes, boxes[1:], strict=False))
+        assert not any(one.overlaps(next_one) for one, next_one in pairwise(boxes))

@@ -62,7 +62,10 @@ def test_csv_has_the_same_columns_without_episodes():
 def test_csv_names_variants():
     summary = summary_of(make_episodes(2, ["greedy"], ["small"], [1]))
     table = result_table({"samples=10": summary, "samples=20": summary}, PUBLISHED)
-    assert list(table.columns[:2]) == ["sweep", "size_class"] and list(table["sweep"]) == ["samples=10"] * 2 + ["samples=20"] * 2
+    assert (
+        list(table.columns[:2]) == ["sweep", "size_class"]
+        and list(table["sweep"]) == ["samples=10"] * 2 + ["samples=20"] * 2
+    )
 
 
 def test_paper_table_shows_all_published_cells():

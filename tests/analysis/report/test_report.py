@@ -272,6 +272,23 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     assert not list(tmp_path.rglob(".*")), "nothing half-written is left"
 
 
+def test_no_absolute_path_is_in_the_report(tmp_path, monkeypatch, blank_pictures):
+    monkeypatch.chdir(tmp_path)
+    manifest = {
+        "output_dir": f"{tmp_path}/outputs/x",
+        "command": "python -m pipeline.report output_dir=/home/jane/x",
+        "homes": {"files": ["/home/jane/data/homes.jsonl.gz"], "source": "https://example.org/a/b"},
+        "config": {"tracking": {"uri": "sqlite:////home/jane/mlflow.db"}, "cache_dir": "~/.cache/mrtask"},
+    }
+    frame = fail(small(["pouct"]), pd.Series([True, False, False, False]), "error", "no file '/home/jane/data/model'")
+    page = page_of(tmp_path, frame, manifest)
+    source = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "jane" not in source and str(tmp_path) not in source
+    for words in ("output_dir=outputs/x", ".../homes.jsonl.gz", "no file '.../model'", "sqlite:///.../mlflow.db"):
+        assert words in page.words, words
+    assert "https://example.org/a/b" in page.words and "~/.cache/mrtask" in page.words
+
+
 def test_same_input_same_bytes(tmp_path):
     frame = small(["learned_myopic", "pouct"])
     for name, rows_ in (("a", frame), ("b", frame.sample(frac=1, random_state=0))):

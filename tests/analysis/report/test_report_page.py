@@ -1,7 +1,11 @@
 """The report in a browser: a point of the scatter leads to its trial, filters filter, and nothing is loaded."""
 
+import base64
+import io
+import re
 from dataclasses import replace
 
+import matplotlib.image
 import pytest
 
 from mrtask.analysis.page import exhibits
@@ -130,6 +134,19 @@ def test_paper_has_every_column_and_keeps_captions_with_figures(browser, page_pa
         assert page.locator("figure").count() > 3 and page.locator("figure").evaluate_all(apart) == 0
         assert page.locator("details .scroll").first.is_visible(), "paper cannot be unfolded"
         assert len(page.pdf(format="A4")) > 10_000
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_figures_are_as_light_as_the_page(browser, page_path, scheme, tmp_path):
+    white = "<rect width='80' height='40' fill='white'/>"
+    svg = f"<svg xmlns='http://www.w3.org/2000/svg' width='80' height='40'>{white}</svg>"
+    uri = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+    source = page_path.read_text(encoding="utf-8")
+    path = tmp_path / "index.html"
+    path.write_text(re.sub(r'(?<=<img src=")[^"]+', uri, source), encoding="utf-8")
+    with opened(browser, path, images=True, color_scheme=scheme) as page:
+        picture = matplotlib.image.imread(io.BytesIO(page.locator("figure img").first.screenshot()))
+        assert picture[..., :3].mean() == pytest.approx(1.0 if scheme == "light" else 0.065, abs=0.03)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
