@@ -311,7 +311,7 @@ def _wall_ends(wall_id: str, walls: Mapping[str, _Wall]) -> tuple[Point, Point] 
 
 
 def _id_type(object_id: str) -> str | None:
-    """Return the type in an id (``Fridge|2|1``, ``Mug_3|2|0|1``), or None for ids without one (``2|1``, ``small|2|1``)."""
+    """Return the type in an id (``Fridge|2|1``, ``Mug_3|2|0|1``); None for ids without one (``2|1``, ``small|2|1``)."""
     head, _, rest = object_id.partition("|")
     return _ASSET_GROUP.sub("", head) if rest and head[:1].isupper() else None
 

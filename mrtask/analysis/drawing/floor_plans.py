@@ -120,8 +120,7 @@ def _draw_walls(home: Home, ax: Axes) -> None:
     """All room outlines, with the doors between rooms cut out and those to the outside dashed."""
     for room in home.rooms:
         ax.add_patch(Patch(room.polygon, fill=False, edgecolor=WALL_COLOR, linewidth=WALL_WIDTH_PT, zorder=3))
-    ways_out = [[door.start, door.end] for door in home.doors if door.rooms[0] == door.rooms[1]]
-    for lines, color, style in ((passages(home), OTHER_ROOM_COLOR, "-"), (ways_out, "white", (0, (1, 1)))):
+    for lines, color, style in ((passages(home), OTHER_ROOM_COLOR, "-"), (ways_out(home), "white", (0, (1, 1)))):
         for line in lines:
             ax.plot(
                 *zip(*line, strict=True),
@@ -139,6 +138,11 @@ def passages(home: Home) -> list[list[Point]]:
     inner = [(door.start, door.end) for door in home.doors if door.rooms[0] != door.rooms[1]]
     merged = line_merge(MultiLineString(inner))
     return [[(float(x), float(y)) for x, y in line.coords] for line in get_parts(merged)]
+
+
+def ways_out(home: Home) -> list[list[Point]]:
+    """The doors to the outside as lines."""
+    return [[door.start, door.end] for door in home.doors if door.rooms[0] == door.rooms[1]]
 
 
 def clear_spot(home: Home, room: Room) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.analysis.drawing.automaton import RADIUS, draw_automaton
-from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, clear_spot, passages
+from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, clear_spot, passages, ways_out
 from mrtask.analysis.drawing.replay_content import Decision, Replay, Run
 from mrtask.analysis.drawing.sheet import Sheet
 from mrtask.analysis.drawing.trajectories import place_at
@@ -44,6 +44,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         floor=_floor(replay, sheet),
         min_label_area_m2=MIN_LABEL_AREA_M2,
         runs=[_run_view(run, replay, sheet) for run in replay.runs],
+        has_belief=any(run.decisions for run in replay.runs),
         automaton=draw_automaton(replay.automaton),
         state_radius=RADIUS,
         robot_colors=[ROBOT_COLORS[robot % len(ROBOT_COLORS)] for robot in range(replay.robots)],
@@ -126,7 +127,7 @@ def _floor(replay: Replay, sheet: Sheet) -> dict[str, Any]:
     return {
         "rooms": rooms,
         "doors": [sheet.points(line) for line in passages(home)],
-        "ways_out": [sheet.points((door.start, door.end)) for door in home.doors if door.rooms[0] == door.rooms[1]],
+        "ways_out": [sheet.points(line) for line in ways_out(home)],
         # Small furniture stands partly under large.
         "containers": sorted(containers, key=lambda view: -view["area_m2"]),
         "obstacles": [sheet.points(obstacle.footprint) for obstacle in home.obstacles],

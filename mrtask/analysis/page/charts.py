@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from mrtask.analysis.page.style import new_figure, planner_label, planner_looks
@@ -24,6 +24,26 @@ WIDTH_IN = 10.5
 """The width of a chart that fills the page."""
 LINE: dict[str, Any] = {"markersize": 5, "linewidth": 1.6}
 BAND_ALPHA = 0.15
+MAX_ROUND_TICKS = 4
+MAX_DECADES_WITH_PARTS = 2.5
+"""A longer logarithmic axis has numbers at powers of ten alone."""
+
+
+class RoundLogTicks(LogLocator):
+    """Ticks at round numbers, a few on however short a logarithmic axis.
+
+    Within a decade they are evenly spaced; over a few decades they are at 1, 2 and 5 times a power of ten.
+    """
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """The ticks from ``vmin`` to ``vmax``."""
+        low, high = sorted((vmin, vmax))
+        decades = np.log10(high / low) if low > 0 else np.inf
+        if decades <= 1:
+            ticks = MaxNLocator(MAX_ROUND_TICKS, steps=[1, 2, 5, 10]).tick_values(low, high)
+            return [tick for tick in ticks if tick > 0]
+        self.set_params(subs=(1.0, 2.0, 5.0) if decades <= MAX_DECADES_WITH_PARTS else (1.0,))
+        return super().tick_values(vmin, vmax)
 
 
 def panels(width_in: float, height_in: float, rows: int = 1, columns: int = 1, **sharing: Any) -> tuple[Figure, Any]:
@@ -50,6 +70,7 @@ def ticks_as(axis: Axis, text: Callable[[float], str], ticks: Sequence[float] | 
     """Label an axis with plain numbers, at ``ticks`` if there are any; ``log``: on a logarithmic scale."""
     if log:
         axis.axes.set(**{"xscale" if axis is axis.axes.xaxis else "yscale": "log"})
+        axis.set_major_locator(RoundLogTicks())
     if ticks is not None:
         axis.set_major_locator(FixedLocator(ticks))
         axis.set_minor_locator(NullLocator())

@@ -156,6 +156,8 @@ def report_columns(planners: Sequence[str]) -> tuple[Column[Result], ...]:
 def result_table(summaries: Mapping[Variant, Summary], published: Published) -> pd.DataFrame:
     """One row per (size class, robots, planner), and per variant of a sweep.
 
+    The last rows, of size class ``all`` and 0 robots, pool all cells: the headline quotes their improvements.
+
     Costs are means over the ``n`` accepted episodes; improvements, in percent, are over the ``pairs_`` trials that both
     planners finished.
     """
@@ -164,7 +166,7 @@ def result_table(summaries: Mapping[Variant, Summary], published: Published) -> 
     swept = len(summaries) > 1 or any(summaries)
     records = []
     for variant, summary in summaries.items():
-        for cell in summary.cells:
+        for cell in (*summary.cells, EVERYTHING):
             for planner in summary.planners:
                 if (cell, planner) in summary.planner_cells:
                     result = Result(summary, published, cell, planner)

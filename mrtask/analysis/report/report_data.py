@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -14,7 +15,7 @@ from mrtask.analysis.drawing.trajectories import Pick, task_objects
 from mrtask.analysis.page.rendering import Findings
 from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
-from mrtask.analysis.report.run_facts import Manifest, missing_episodes, model_warning
+from mrtask.analysis.report.run_facts import Manifest, missing_episodes, model_warning, without_folders
 from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
 from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
@@ -167,9 +168,12 @@ def collect_report_data(
         ValueError: the episodes are not what `checked_episodes` demands.
     """
     checked = checked_episodes(episodes)
+    if "error" in checked.columns:
+        checked = checked.assign(error=[without_folders(text, Path.cwd()) for text in checked["error"]])
     summaries = {variant: summarise(rows_of(checked, variant)) for variant in variants_of(checked)}
     from_optimal = summarise_optimality(optimality) if optimality is not None else ()
-    return ReportData(checked, manifest, homes, summaries, load_published(), from_optimal)
+    shown = without_folders(manifest, Path.cwd())
+    return ReportData(checked, shown, homes, summaries, load_published(), from_optimal)
 
 
 def variants_of(episodes: pd.DataFrame) -> list[Variant]:

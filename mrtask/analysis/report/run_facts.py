@@ -5,7 +5,9 @@ A manifest is the JSON that a run writes; every key is optional, and missing one
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -27,9 +29,28 @@ METRICS = {
 """Metric -> name and whether a higher or a lower value is better, in the order shown."""
 DECIDING = ("log_loss", "roc_auc")
 """The first of these that both models have decides which model is better."""
+ABSOLUTE_PATH = re.compile(r"""(?:(?<![\w/.~:<-])|(?<=sqlite:///)|(?<=file://))(?:/[^\s/,;:'"<>()\[\]]+){2,}""")
+"""At least two folders deep; neither part of a web address nor of a relative path."""
 MAX_REASONS = 25
 MAX_REASON_CHARS = 240
 FAILURE_COLUMNS = tuple(("", name) for name in ("status", "episodes", "trials", "planners", "first trial"))
+
+
+def without_folders(value: Any, base: Path) -> Any:
+    """``value`` with every absolute path in its texts cut to what lies below ``base``, or else to its last part.
+
+    Absolute paths name people and machines, which a report for blind review must not.
+    """
+    if isinstance(value, str):
+        return ABSOLUTE_PATH.sub(lambda path: _short(path[0], base), value)
+    if isinstance(value, Mapping):
+        return {key: without_folders(each, base) for key, each in value.items()}
+    return [without_folders(each, base) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _short(path: str, base: Path) -> str:
+    inside = Path(path).is_relative_to(base) and Path(path) != base
+    return str(Path(path).relative_to(base)) if inside else f".../{Path(path).name}"
 
 
 def part(manifest: Manifest, key: str) -> Manifest:

@@ -36,7 +36,7 @@ from mrtask.analysis.report.trial_browser import (
 )
 from mrtask.analysis.report.wins import draw_wins, pair_table
 from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
-from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES
+from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P
 from mrtask.names import counted
 
 
@@ -193,6 +193,7 @@ def wins_section(data: ReportData) -> Content | None:
         _picture("wins", "Wins, ties and losses", caption, draw_wins(data.summary, data.planner)),
         _table("wins", f"{name} against each of the others, cell by cell", pairs, "cell"),
         planner=name,
+        significant=SIGNIFICANT_P,
     )
 
 
@@ -328,6 +329,7 @@ def method_section(data: ReportData) -> Content:
         _table("real-world", title, cell_tables.real_world_table(data.published), "trial"),
         resamples=RESAMPLES,
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
+        significant=SIGNIFICANT_P,
         citation=data.published.citation,
         citation_url=data.published.url,
     )

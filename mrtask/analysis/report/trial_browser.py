@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.drawing.floor_plans import ROOM_COLORS
+from mrtask.analysis.drawing.floor_plans import ROOM_COLORS, passages, ways_out
 from mrtask.analysis.drawing.replay_content import task_in_words
 from mrtask.analysis.drawing.sheet import Sheet
 from mrtask.analysis.drawing.trajectories import Pick, baseline_beside, instructive_trials, task_objects
@@ -23,6 +23,7 @@ from mrtask.analysis.results.episodes import natural_key, size_classes_in_order
 from mrtask.analysis.results.statistics import paired_costs
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
+from mrtask.planning.planners import planners_in_order
 
 WORST_LOSSES, FAILURES = 10, 10
 MAX_MAPPED_TRIALS = 3000
@@ -53,7 +54,7 @@ class TrialBrowser:
     """What the section shows."""
 
     content: Mapping[str, Any]
-    """All that a click shows, as ``report.js`` reads it; the planner comes first, then the baseline beside it."""
+    """All that a click shows, as ``report.js`` reads it; planners in the order of the tables."""
     compared: tuple[str, ...]
     """The full names of the planner and the baseline."""
     robots: tuple[int, ...]
@@ -111,20 +112,22 @@ def browse_trials(
     if planner is None or rows.empty:
         return None
     compared = compared_planners(rows, planner)
-    planners = list(dict.fromkeys([*compared, *sorted(set(rows["planner"]))]))
+    planners = planners_in_order(rows["planner"].unique())
+    indices = [planners.index(name) for name in compared]
     templates = sorted(set(rows["template"].dropna().astype(str))) if "template" in rows.columns else []
     classes = size_classes_in_order(rows["size_class"].unique())
     drawn: dict[str, int] = {}
     by_trial = rows[[name for name in NEEDED if name in rows.columns]].groupby("trial_id")
     found = {str(trial_id): of_trial.to_dict("records") for trial_id, of_trial in by_trial}
     trials = [
-        _trial(found[trial_id], planners, templates, classes, drawn, homes)
+        _trial(found[trial_id], planners, indices, templates, classes, drawn, homes)
         for trial_id in sorted(found, key=natural_key)
     ]
     top = max((cost for trial in trials for cost in trial["cost"] if cost is not None), default=0.0) * 1.04 or 1.0
     content = {
         "planners": list(map(planner_label, planners)),
-        "names": planners,
+        "names": list(planners),
+        "compared": indices,
         "templates": templates,
         "classes": classes,
         "top": top,
@@ -134,7 +137,7 @@ def browse_trials(
         "trials": trials,
     }
     teams = tuple(sorted({int(trial["robots"]) for trial in trials}))
-    return TrialBrowser(content, compared, teams, _points(trials, top) if len(compared) > 1 else (), _ticks(top))
+    return TrialBrowser(content, compared, teams, _points(trials, indices, top), _ticks(top))
 
 
 def place(cost_cells: float, top: float, upright: bool) -> float:
@@ -144,9 +147,11 @@ def place(cost_cells: float, top: float, upright: bool) -> float:
     return round(PLOT_SIZE - PLOT_BOTTOM - share * span if upright else PLOT_LEFT + share * span, 1)
 
 
-def _points(trials: Sequence[Mapping[str, Any]], top: float) -> tuple[Point, ...]:
+def _points(trials: Sequence[Mapping[str, Any]], compared: Sequence[int], top: float) -> tuple[Point, ...]:
     """One point for each trial that the planner and the baseline finished: across the baseline's cost, up its own."""
-    costs = [(index, trial, *trial["cost"][:2]) for index, trial in enumerate(trials)]
+    if len(compared) < 2:
+        return ()
+    costs = [(index, trial, *(trial["cost"][planner] for planner in compared)) for index, trial in enumerate(trials)]
     return tuple(
         Point(
             index,
@@ -170,6 +175,7 @@ def _ticks(top: float) -> tuple[float, ...]:
 def _trial(
     found: Sequence[Mapping[Any, Any]],
     planners: Sequence[str],
+    compared: Sequence[int],
     templates: Sequence[str],
     classes: Sequence[str],
     drawn: dict[str, int],
@@ -180,7 +186,7 @@ def _trial(
     template = str(first.get("template"))
     formula = first["formula"] if isinstance(first.get("formula"), str) else ""
     home = homes.get(str(first.get("home_id")))
-    traces = {index: by_planner.get(name, {}).get("trace") for index, name in enumerate(planners[:2])}
+    traces = {index: by_planner.get(planners[index], {}).get("trace") for index in compared}
     paths = {
         str(index): _paths(Trace.from_json(trace), Sheet.of(home))
         for index, trace in traces.items()
@@ -221,5 +227,7 @@ def _floor(home: Home) -> dict[str, Any]:
     return {
         "size": [sheet.width, sheet.height],
         "rooms": [[ROOM_INDEX.get(room.type, -1), sheet.points(room.polygon)] for room in home.rooms],
+        "doors": [sheet.points(line) for line in passages(home)],
+        "ways_out": [sheet.points(line) for line in ways_out(home)],
         "containers": [[one.type, sheet.points(one.footprint)] for one in home.containers],
     }

@@ -54,6 +54,11 @@ def p_value_text(value: float) -> str:
     return NOTHING if not np.isfinite(value) else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
+def without_ties(pair: Comparison) -> tuple[str, ...]:
+    """Wilcoxon's p value without the equal pairs, where leaving them out changes what is significant."""
+    return (f"{p_value_text(pair.p_value_without_ties)} without ties",) if pair.ties_decide else ()
+
+
 PAIR_COLUMNS = (
     Column[Comparison](lambda pair: pair.improvement.n, ("trials", "paired")),
     Column[Comparison](lambda pair: pair.only_planner, ("trials", "only it finished")),
@@ -66,7 +71,7 @@ PAIR_COLUMNS = (
     Column[Comparison](
         lambda pair: pair.improvement, ("mean cost", "improvement, 95 %"), digits=1, unit=" %", higher_is_better=True
     ),
-    Column[Comparison](lambda pair: pair.p_value, ("mean cost", "Wilcoxon p"), text=p_value_text),
+    Column[Comparison](lambda pair: pair.p_value, ("mean cost", "Wilcoxon p"), text=p_value_text, details=without_ties),
 )
 
 

@@ -23,6 +23,7 @@ from mrtask.planning.planners import planners_in_order
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
+SIGNIFICANT_P = 0.05
 SEED = 20603
 """The seed of the resampling. Every estimate starts from it, so none depends on which others are computed."""
 MIN_TRIALS_FOR_INTERVAL = 10
@@ -81,10 +82,20 @@ class Comparison:
     ties: int
     losses: int
     p_value: float
-    """The p-value of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs."""
+    """The p-value of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs.
+
+    Equal pairs take part: their ranks are split evenly between both signs (SciPy's ``zsplit``).
+    """
+    p_value_without_ties: float
+    """The p-value of the usual form of the test, which leaves equal pairs out; 1 where all are equal."""
     only_planner: int
     only_baseline: int
     """The number of trials that only this one of the two finished; they are outside the comparison."""
+
+    @property
+    def ties_decide(self) -> bool:
+        """Whether only one of the two treatments of equal pairs calls the difference significant."""
+        return (self.p_value < SIGNIFICANT_P) != (self.p_value_without_ties < SIGNIFICANT_P)
 
 
 @dataclass(frozen=True)
@@ -291,17 +302,21 @@ def compare(cost: Floats, baseline: Floats, improvement: Estimate | None = None)
         ties=int((np.abs(saved) <= SAME_COST_S).sum()),
         losses=int((saved < -SAME_COST_S).sum()),
         p_value=_wilcoxon(saved),
+        p_value_without_ties=_wilcoxon(saved, ties=False),
         only_planner=int((done & ~base_done).sum()),
         only_baseline=int((base_done & ~done).sum()),
     )
 
 
-def _wilcoxon(saved: Floats) -> float:
+def _wilcoxon(saved: Floats, ties: bool = True) -> float:
+    """The p value; ``ties``: equal pairs take part, with their ranks split between both signs."""
     if len(saved) < 2:
         return float("nan")
     saved = np.where(np.abs(saved) <= SAME_COST_S, 0.0, saved)
     if not saved.any():
         return 1.0
+    if not ties:
+        saved = saved[saved != 0]
     if len(saved) <= MAX_EXACT_TRIALS:
         return _exact_wilcoxon(saved)
     return float(stats.wilcoxon(saved, zero_method="zsplit").pvalue)

@@ -6,6 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
+from mrtask.analysis.page.charts import ticks_as
 from mrtask.likelihood.options import EpochMetrics
 
 MIN_SHOWN_PROB = 1e-3
@@ -44,7 +45,9 @@ def reliability_plot(reliability: pd.DataFrame) -> Figure:
     axes.vlines(reliability["mean_prob"], [max(test.low, low) for test in tests], [test.high for test in tests])
     found = reliability[reliability["frequency"] > 0]
     axes.plot(found["mean_prob"], found["frequency"], "o", label="test homes, bins of equally many rows")
-    axes.set(xlabel="mean predicted probability", ylabel="observed frequency", xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        ticks_as(axis, "{:g}".format, log=True)
+    axes.set(xlabel="mean predicted probability", ylabel="observed frequency")
     axes.set_ylim(bottom=low)
     axes.legend()
     return figure

@@ -116,6 +116,20 @@ def test_decisions_can_be_listed_and_visited(browser, page_path, replay):
         assert now(page) == pytest.approx(last.t_s, abs=0.01)
 
 
+def test_without_decisions_nothing_offers_a_belief(browser, replay, tmp_path):
+    path = tmp_path / "page.html"
+    bare = replace(replay, runs=tuple(replace(run, decisions=()) for run in replay.runs))
+    path.write_text(render_replay(bare), encoding="utf-8")
+    with opened(browser, path) as page:
+        assert page.locator("[data-object], .ramp, #back, #next").count() == 0
+        assert "elief" not in page.inner_text("body") and "decision" not in page.inner_text("body")
+        assert page.locator(".swatch").count() == 3, "what is searched, found and hidden is still explained"
+        page.keyboard.press("Shift+ArrowRight")
+        assert now(page) == 0
+        page.keyboard.press("End")
+        assert now(page) == pytest.approx(bare.end_s, abs=0.01)
+
+
 @pytest.mark.parametrize("width", [1400, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_fits_the_screen(browser, page_path, width, scheme):

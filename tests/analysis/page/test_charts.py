@@ -1,9 +1,12 @@
 """The parts that all charts share."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from mrtask.analysis.page.charts import panels, stacked_bars, ticks_as, with_bars
+from mrtask.analysis.page.charts import WIDTH_IN, panels, stacked_bars, ticks_as, with_bars
+from mrtask.analysis.page.style import house_style, seconds
 from mrtask.analysis.results.statistics import UNDEFINED, Estimate
 
 
@@ -35,3 +38,24 @@ def test_an_axis_has_these_ticks_on_its_scale():
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
     ticks_as(axes.yaxis, "{:g}".format, log=True)
     assert axes.get_yscale() == "log"
+
+
+@pytest.mark.parametrize("least", [1.3e-4, 0.0021, 0.97, 40.0])
+@pytest.mark.parametrize("decades", [0.1, 0.5, 1, 2, 5])
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_logarithmic_axis_has_a_few_plain_numbers_however_long_it_is(least, decades, upright):
+    with house_style():
+        figure, ((axes,),) = panels(3.5 if upright else WIDTH_IN, 2.9)
+        values = [least, least * 10**decades]
+        axes.plot(*((1, 2), values) if upright else (values, (1, 2)))
+        axis = axes.yaxis if upright else axes.xaxis
+        ticks_as(axis, seconds, log=True)
+        figure.draw_without_rendering()
+        low, high = axis.get_view_interval()
+        ticks = [tick for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+        texts = [tick.label1.get_text() for tick in ticks]
+        assert 2 <= len(texts) == len(set(texts)) and all(text[0].isdigit() for text in texts)
+        assert all(seconds(tick.get_loc()) == text for tick, text in zip(ticks, texts, strict=True))
+        assert not any(label.get_text() for label in axis.get_minorticklabels())
+        boxes = sorted((tick.label1.get_window_extent() for tick in ticks), key=lambda box: (box.x0, box.y0))
+        assert not any(one.overlaps(next_one) for one, next_one in pairwise(boxes))

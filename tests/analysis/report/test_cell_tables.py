@@ -33,7 +33,14 @@ def test_csv_by_hand():
     frame = pd.concat([frame, rows("large", 1, {"pouct": [7.0]})])
     table = result_table({"": summary_of(frame)}, PUBLISHED)
     table = pd.read_csv(io.StringIO(table.to_csv(index=False))).set_index(["size_class", "robots", "planner"])
-    assert list(table.index) == [("small", 2, "learned_myopic"), ("small", 2, "pouct"), ("large", 1, "pouct")]
+    assert list(table.index) == [
+        *(("small", 2, "learned_myopic"), ("small", 2, "pouct"), ("large", 1, "pouct")),
+        *(("all", 0, "learned_myopic"), ("all", 0, "pouct")),
+    ]
+    pooled = table.loc["all", 0, "pouct"]
+    assert (pooled["episodes"], pooled["n"], pooled["pairs_learned_myopic"]) == (4, 3, 2)
+    assert pooled["mean_cost_s"] == pytest.approx(11 / 3)
+    assert pooled["improvement_over_learned_myopic_percent"] == pytest.approx(50), "as the headline says"
     row = table.loc["small", 2, "pouct"]
     assert (row["episodes"], row["n"], row["failed"], row["error"], row["timeout"]) == (3, 2, 1, 0, 0)
     assert (row["mean_cost_s"], row["mean_cost_cells"]) == (2.0, 40.0)
@@ -55,7 +62,10 @@ def test_csv_has_the_same_columns_without_episodes():
 def test_csv_names_variants():
     summary = summary_of(make_episodes(2, ["greedy"], ["small"], [1]))
     table = result_table({"samples=10": summary, "samples=20": summary}, PUBLISHED)
-    assert list(table.columns[:2]) == ["sweep", "size_class"] and list(table["sweep"]) == ["samples=10", "samples=20"]
+    assert (
+        list(table.columns[:2]) == ["sweep", "size_class"]
+        and list(table["sweep"]) == ["samples=10"] * 2 + ["samples=20"] * 2
+    )
 
 
 def test_paper_table_shows_all_published_cells():

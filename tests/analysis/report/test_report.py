@@ -11,6 +11,7 @@ import pytest
 from markupsafe import Markup
 
 from mrtask import files
+from mrtask.analysis.drawing.floor_plans import passages, ways_out
 from mrtask.analysis.page import exhibits
 from mrtask.analysis.page.exhibits import Content
 from mrtask.analysis.report import report_page as library
@@ -129,7 +130,8 @@ def test_whole_report(tmp_path, two_room_home):
     assert "pouct: (samples: 1000)" in text and "cpus: 2" in text
     assert "log loss (lower is better)" in text and "does not beat" not in text
     table = pd.read_csv(tmp_path / "table.csv")
-    assert len(table) == 9 * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
+    assert len(table) == (9 + 1) * 6 and not table.duplicated(["size_class", "robots", "planner"]).any()
+    assert "their ranks are split evenly between both signs (SciPy's zsplit)" in text
     files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     for name in ("index.html", "table.csv", "methods.tex", "methods.md", "references.bib", "tables/paper.tex"):
         assert name in files, name
@@ -270,6 +272,23 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     assert not list(tmp_path.rglob(".*")), "nothing half-written is left"
 
 
+def test_no_absolute_path_is_in_the_report(tmp_path, monkeypatch, blank_pictures):
+    monkeypatch.chdir(tmp_path)
+    manifest = {
+        "output_dir": f"{tmp_path}/outputs/x",
+        "command": "python -m pipeline.report output_dir=/home/jane/x",
+        "homes": {"files": ["/home/jane/data/homes.jsonl.gz"], "source": "https://example.org/a/b"},
+        "config": {"tracking": {"uri": "sqlite:////home/jane/mlflow.db"}, "cache_dir": "~/.cache/mrtask"},
+    }
+    frame = fail(small(["pouct"]), pd.Series([True, False, False, False]), "error", "no file '/home/jane/data/model'")
+    page = page_of(tmp_path, frame, manifest)
+    source = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "jane" not in source and str(tmp_path) not in source
+    for words in ("output_dir=outputs/x", ".../homes.jsonl.gz", "no file '.../model'", "sqlite:///.../mlflow.db"):
+        assert words in page.words, words
+    assert "https://example.org/a/b" in page.words and "~/.cache/mrtask" in page.words
+
+
 def test_same_input_same_bytes(tmp_path):
     frame = small(["learned_myopic", "pouct"])
     for name, rows_ in (("a", frame), ("b", frame.sample(frac=1, random_state=0))):
@@ -304,7 +323,11 @@ def test_every_trial_can_be_looked_up(tmp_path, two_room_home, blank_pictures):
     packed = re.search(r'id="trials-data"[^>]*>([^<]*)<', text)[1]
     data = json.loads(gzip.decompress(base64.b64decode(packed)))
     by_key = frame.set_index(["trial_id", "planner"])
-    assert data["names"] == ["pouct", "learned_myopic"]
+    assert data["names"] == ["learned_myopic", "pouct"], "in the order of the tables"
+    assert data["compared"] == [1, 0], "the planner, then the baseline"
+    [home] = data["homes"]
+    assert len(home["doors"]) == len(passages(two_room_home)) > 0
+    assert len(home["ways_out"]) == len(ways_out(two_room_home))
     for trial in data["trials"]:
         assert trial["task"] == "Mug and Book" and trial["robots"] == 1
         for name, cost, status in zip(data["names"], trial["cost"], trial["status"], strict=True):

@@ -5,12 +5,14 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from mrtask.analysis.report.wins import share, share_sooner, sign_test
-from mrtask.analysis.results.statistics import UNDEFINED, Comparison
+from mrtask.analysis.report.wins import pair_table, share, share_sooner, sign_test
+from mrtask.analysis.results.episodes import checked_episodes
+from mrtask.analysis.results.statistics import UNDEFINED, Comparison, compare, summarise
+from tests.analysis.synthetic import rows
 
 
 def pair(wins: int, ties: int, losses: int) -> Comparison:
-    return Comparison(UNDEFINED, wins, ties, losses, np.nan, 0, 0)
+    return Comparison(UNDEFINED, wins, ties, losses, np.nan, np.nan, 0, 0)
 
 
 @pytest.mark.parametrize(("wins", "losses"), [(0, 1), (3, 3), (7, 2), (0, 9), (60, 40), (199, 101)])
@@ -29,3 +31,15 @@ def test_against_the_formulas_in_exact_fractions(wins, losses):
 def test_only_ties_say_nothing():
     assert not share_sooner(pair(0, 4, 0)).defined and np.isnan(sign_test(pair(0, 4, 0)))
     assert share(0, 0) == UNDEFINED
+
+
+@pytest.mark.parametrize(("ties", "decided"), [(60, True), (0, False)])
+def test_where_ties_decide_both_p_values_are_shown(ties, decided):
+    """Eight wins, all of them: p is 2 / 2^8 without ties. Sixty ties dilute it beyond 0.05."""
+    saved = np.concatenate([np.arange(1.0, 9), np.zeros(ties)])
+    assert compare(10 - saved, np.full(len(saved), 10.0)).ties_decide == decided
+    frame = rows("small", 1, {"pouct": 10 - saved, "greedy": np.full(len(saved), 10.0)})
+    row = next(row for row in pair_table(summarise(checked_episodes(frame)), "pouct").rows if not row.heading)
+    wilcoxon = row.entries[-1]
+    assert (float(wilcoxon.value) > 0.05) == decided
+    assert wilcoxon.details == (("0.008 without ties",) if decided else ())

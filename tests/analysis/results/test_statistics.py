@@ -98,7 +98,18 @@ def test_comparison_by_hand():
 @pytest.mark.parametrize("saved", [[1, 2, -3, 4, 5], [0, 0, 1, 1, -2, 3], [2, 2, 2, -2, 0], [-1, -1, 0, 0, -3, 4]])
 def test_wilcoxon_of_few_trials_is_scipys(saved):
     expected = stats.wilcoxon(np.array(saved, dtype=float), zero_method="zsplit").pvalue
-    assert compare(np.zeros(len(saved)), np.array(saved, dtype=float)).p_value == pytest.approx(expected)
+    found = compare(np.zeros(len(saved)), np.array(saved, dtype=float))
+    assert found.p_value == pytest.approx(expected)
+    decided = np.array([value for value in saved if value], dtype=float)
+    assert found.p_value_without_ties == pytest.approx(stats.wilcoxon(decided, method=stats.PermutationMethod()).pvalue)
+
+
+def test_wilcoxon_without_ties_of_many_trials_is_scipys_default():
+    saved = np.concatenate([np.zeros(30), np.random.default_rng(3).normal(0.2, 1, 80)])
+    found = compare(np.zeros(len(saved)), saved)
+    assert found.p_value_without_ties == pytest.approx(stats.wilcoxon(saved).pvalue)
+    assert found.p_value == pytest.approx(stats.wilcoxon(saved, zero_method="zsplit").pvalue)
+    assert compare(np.ones(20), np.ones(20)).p_value_without_ties == 1
 
 
 def test_wilcoxon_by_hand():

@@ -17,6 +17,9 @@ def test_reliability_plot_has_every_bin_and_wilsons_interval():
     assert intervals[1] == pytest.approx([middle - half, middle + half], rel=1e-6)
     assert intervals[0] == pytest.approx([axes.get_ylim()[0], z**2 / (400 + z**2)], rel=1e-6)
     assert axes.lines[1].get_xydata().tolist() == [[0.2, 0.25]]
+    axes.figure.draw_without_rendering()
+    for labels in (axes.get_xticklabels(), axes.get_yticklabels()):
+        assert {"0.001", "0.01", "0.1", "1"} <= {label.get_text() for label in labels}
 
 
 def test_loss_curves_have_both_losses_and_the_reference():

@@ -181,6 +181,7 @@
     if (now >= data.end) setPlaying(false); else requestAnimationFrame(step);
   };
   const toDecision = (direction) => {
+    if (!decisionTimes.length) return;
     const times = direction > 0 ? decisionTimes.filter((t) => t > now + EPSILON_S) : decisionTimes.filter((t) => t < now - EPSILON_S);
     setPlaying(false);
     seek(direction > 0 ? times[0] ?? data.end : times[times.length - 1] ?? 0);
@@ -200,8 +201,9 @@
   const reveal = () => views.forEach(({ map }) => map.classList.toggle("reveal", $("reveal").checked));
 
   $("play").addEventListener("click", () => setPlaying(!playing));
-  $("back").addEventListener("click", () => toDecision(-1));
-  $("next").addEventListener("click", () => toDecision(1));
+  // A replay without decisions has no buttons for them.
+  $("back")?.addEventListener("click", () => toDecision(-1));
+  $("next")?.addEventListener("click", () => toDecision(1));
   $("time").addEventListener("input", (event) => { setPlaying(false); seek(Number(event.target.value)); });
   $("reveal").addEventListener("change", reveal);
   document.querySelectorAll("[data-object]").forEach((button) => button.addEventListener("click", () => choose(Number(button.dataset.object))));

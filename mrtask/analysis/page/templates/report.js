@@ -13,9 +13,12 @@
   const ROBOTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222", "#767676"];
   const ROOMS = ["#dcebf2", "#ece4f1", "#f8ead6", "#e4eedd"];
   const [size, left, bottom, pad] = data.plot;
+  const [main] = data.compared;
   const form = document.querySelector(".filters");
   const dots = plot.querySelector(".dots");
   const panel = document.querySelector(".trial");
+  plot.setAttribute("role", "group");  // its points are buttons
+  let chosen = -1;
 
   const make = (parent, name, attributes = {}, text = "") => {
     const node = parent.appendChild(document.createElementNS(parent.namespaceURI, name));
@@ -39,18 +42,28 @@
       Object.entries(wanted).every(([key, value]) => value === "" || trial[key] === Number(value)));
   };
 
+  // The chosen point keeps its mark whatever is drawn anew. Tab leads to it, or else to the first.
+  const mark = (focused = null) => {
+    for (const dot of dots.children) {
+      dot.classList.toggle("chosen", Number(dot.dataset.trial) === chosen);
+      dot.setAttribute("tabindex", -1);
+    }
+    (focused ?? dots.querySelector(".chosen") ?? dots.firstElementChild)?.setAttribute("tabindex", 0);
+  };
+
   const draw = () => {
     const other = Number(form.other.value);
     dots.replaceChildren();
     let count = 0;
     for (const [trial, index] of shown()) {
-      const own = trial.cost[0], theirs = trial.cost[other];
+      const own = trial.cost[main], theirs = trial.cost[other];
       if (own === null || theirs === null || theirs === undefined) continue;
       const dot = make(dots, "circle", { cx: placed(theirs, false), cy: placed(own, true), r: 3.6,
-        class: `team-${trial.robots}`, "data-trial": index, tabindex: -1 });
+        class: `team-${trial.robots}`, "data-trial": index, tabindex: -1, role: "button" });
       make(dot, "title", {}, `${trial.id}: ${own.toFixed(0)} against ${theirs.toFixed(0)} cells`);
       count += 1;
     }
+    mark();
     plot.querySelector(".x-name").textContent = `${data.planners[other]} (cells)`;
     form.querySelector(".shown").textContent = `${count} trial${count === 1 ? "" : "s"}`;
   };
@@ -63,6 +76,8 @@
     const picture = svg(box, { viewBox: `0 0 ${home.size[0]} ${home.size[1]}`, class: "small-map", role: "img",
       "aria-label": `${trial.id}: where the robots drove with ${data.planners[planner]}` });
     for (const [room, points] of home.rooms) make(picture, "polygon", { points, fill: ROOMS[room] ?? "#eeeeee", stroke: "#3b3f45", "stroke-width": 6 });
+    for (const points of home.doors) make(picture, "polyline", { points, class: "door", fill: "none", stroke: "#eeeeee", "stroke-width": 10 });
+    for (const points of home.ways_out) make(picture, "polyline", { points, class: "way-out", fill: "none", stroke: "#ffffff", "stroke-width": 9, "stroke-dasharray": 9 });
     for (const [name, points] of home.containers) {
       make(make(picture, "polygon", { points, fill: "#ffffff", stroke: "#a39d94", "stroke-width": 2 }), "title", {}, name);
     }
@@ -77,8 +92,8 @@
 
   const show = (index) => {
     const trial = data.trials[index];
-    dots.querySelectorAll(".chosen").forEach((dot) => dot.classList.remove("chosen"));
-    dots.querySelector(`[data-trial="${index}"]`)?.classList.add("chosen");
+    chosen = index;
+    mark();
     panel.replaceChildren();
     make(panel, "h3", {}, trial.id);
     if (trial.task) make(panel, "p", { class: "task" }, trial.task);
@@ -103,6 +118,20 @@
   dots.addEventListener("click", (event) => {
     const dot = event.target.closest("[data-trial]");
     if (dot) show(Number(dot.dataset.trial));
+  });
+  const STEPS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
+  dots.addEventListener("keydown", (event) => {
+    const dot = event.target.closest("[data-trial]");
+    if (!dot || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Enter" || event.key === " ") {
+      show(Number(dot.dataset.trial));
+    } else if (event.key in STEPS) {
+      const across = [...dots.children].sort((one, other) => one.getAttribute("cx") - other.getAttribute("cx"));
+      const next = across[across.indexOf(dot) + STEPS[event.key]] ?? dot;
+      mark(next);
+      next.focus();
+    } else return;
+    event.preventDefault();
   });
   form.addEventListener("change", draw);
   form.addEventListener("submit", (event) => event.preventDefault());
