@@ -229,13 +229,17 @@ def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
 
 
 @inlined
-def _anybody_decides(world: World) -> bool:
-    """Return whether some robot is free, or is under way and must decide again after news."""
+def _mark_deciders(world: World) -> bool:
+    """Make the robots undecided that are free, or under way after news. Return whether there are any."""
+    found = False
     for r in range(world.robots.size):
-        mode = world.robots[r].mode
-        if mode == FREE or (mode == MOVING and world.state[NEWS]):
-            return True
-    return False
+        if world.robots[r].mode == FREE:
+            world.robots[r].undecided = 1
+            found = True
+        elif world.robots[r].mode == MOVING and world.state[NEWS]:
+            reconsider(world, r)
+            found = True
+    return found
 
 
 @inlined
@@ -249,13 +253,11 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
         for r in range(1, robots):
             if world.robots[r].until_s < world.robots[due].until_s:
                 due = r
-        if world.robots[due].until_s == np.inf:
-            if not freed:
-                return STUCK
-            break
+        if not freed and world.robots[due].until_s == np.inf:
+            return STUCK
         if freed and world.robots[due].until_s > world.clock[0] + SAME_INSTANT_S:
-            if _anybody_decides(world):
-                break
+            if _mark_deciders(world):
+                return DECIDE
             freed = False  # every robot that was freed has begun an interaction since then
         world.clock[0] = max(world.clock[0], world.robots[due].until_s)
         z = world.state[AUTOMATON]
@@ -270,12 +272,6 @@ def advance(model: Model, world: World, rng: UInt64s) -> int:
                     robot.want = NONE
                     if _begin_interaction(model, world, r):
                         world.containers[robot.place].targeted += 1
-    for r in range(robots):
-        if world.robots[r].mode == FREE:
-            world.robots[r].undecided = 1
-        elif world.robots[r].mode == MOVING and world.state[NEWS]:
-            reconsider(world, r)
-    return DECIDE
 
 
 @inlined
