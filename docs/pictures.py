@@ -8,7 +8,7 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
-from mrtask import build_map, fit_on_homes, generate_home, generate_homes, make_planner, run_experiment
+from mrtask import NonlearnedMyopic, Pouct, build_map, fit_on_homes, generate_home, generate_homes, run_experiment
 from mrtask.analysis.drawing.floor_plans import draw_home
 from mrtask.analysis.drawing.trajectories import draw_trial
 
@@ -25,7 +25,7 @@ def main() -> None:
     figure.savefig(FOLDER / "home.png", dpi=DPI, bbox_inches="tight", pil_kwargs={"optimize": True})
     episodes = run_experiment(
         [home],
-        {"nonlearned_myopic": make_planner("nonlearned_myopic"), "pouct": make_planner("pouct", {"samples": 1000})},
+        {"nonlearned_myopic": NonlearnedMyopic(), "pouct": Pouct(samples=1000)},
         fit_on_homes(generate_homes(12)),
         robots=[2],
         trials_per_cell=6,
