@@ -8,7 +8,7 @@ from numba import njit
 from numba.extending import register_jitable
 
 from mrtask.arrays import UInt64s
-from mrtask.planning.compiler import PartCompiler
+from mrtask.planning.compiler import KernelCompiler, PartCompiler
 from mrtask.sources import use_kernel_cache
 
 use_kernel_cache()
@@ -30,7 +30,7 @@ def compiled(function: F) -> F:
 
     A kernel passes its named tuples to its parts `mrtask.planning.reference.by_reference`.
     """
-    return cast(F, njit(cache=True, **KERNEL)(function))
+    return cast(F, njit(cache=True, pipeline_class=KernelCompiler, **KERNEL)(function))
 
 
 def inlined(function: F) -> F:

@@ -5,6 +5,7 @@ This module holds all code that depends on numba's internals. Kernels use `mrtas
 
 from typing import Any
 
+from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -48,3 +49,25 @@ class PartCompiler(Compiler):
         self.state.library = _PartCode(self.state.targetctx.codegen(), "part")
         self.state.flags = self.state.flags.copy()
         self.state.flags.noalias = True  # no two arguments of a part share memory that changes
+
+
+class _KernelCode(JITCodeLibrary):
+    """The code of a kernel, optimised without unrolling or vectorising its loops.
+
+    The loops over robots, containers and objects are short. Unrolled, `pouct_paper` draws a tenth fewer samples.
+    """
+
+    def _optimize_final_module(self) -> None:
+        options = create_pipeline_tuning_options(speed_level=3)
+        options.loop_unrolling = options.loop_interleaving = options.loop_vectorization = False
+        builder = create_pass_builder(self._codegen._tm, options)
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+class KernelCompiler(Compiler):
+    """numba's compiler, for code that is a `_KernelCode`."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.state.library = _KernelCode(self.state.targetctx.codegen(), "kernel")
+        self.state.library.enable_object_caching()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mrtask.arrays import Floats, Ints, UInt8s, UInt64s
-from mrtask.planning.compiled import inlined
+from mrtask.planning.compiled import called, inlined
 from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_kernel import (
     DECIDE,
@@ -151,6 +151,26 @@ def _disturbed(model: Model, world: World, obj: int) -> bool:
     return False
 
 
+@called
+def _best_named(
+    model: Model, world: World, greedy: GreedyPolicy, named: int, detours: bool, r: int
+) -> tuple[int, float]:
+    """Return a robot's best interaction by name with one of the ``named`` objects, and its score, as `_best` does."""
+    containers = world.containers.size
+    best, best_score, obj = NONE, np.inf, 0
+    while named:
+        if named & 1 and greedy.skip[containers + obj] == 0:
+            c = nearest_holding(model, world, r, obj)
+            if c != NONE and (detours or not _disturbed(model, world, obj)):
+                nearer = (model.states[world.state[AUTOMATON]].nearer >> obj) & 1
+                score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * (1.0 if nearer else DETOUR_FACTOR)
+                if score < best_score:
+                    best, best_score = containers + obj, score
+        named >>= 1
+        obj += 1
+    return best, best_score
+
+
 @inlined
 def _best(
     model: Model, world: World, greedy: GreedyPolicy, row: int, fetching: int, ahead: bool, detours: bool, r: int
@@ -169,20 +189,12 @@ def _best(
                     best, best_score = c, score
         if best != NONE or ahead:
             break
-    z = world.state[AUTOMATON]
-    state = model.states[z]
+    state = model.states[world.state[AUTOMATON]]
     named = (state.worth if detours else state.nearer) & ~state.safe & world.state[FOUND] & ~fetching
-    obj = 0
-    while named:
-        if named & 1 and greedy.skip[containers + obj] == 0:
-            c = nearest_holding(model, world, r, obj)
-            if c != NONE and (detours or not _disturbed(model, world, obj)):
-                factor = 1.0 if (state.nearer >> obj) & 1 else DETOUR_FACTOR
-                score = max(distance_s(model, world, r, c), MIN_TRAVEL_S) * factor
-                if score < best_score:
-                    best, best_score = containers + obj, score
-        named >>= 1
-        obj += 1
+    if named:
+        action, score = _best_named(model, world, greedy, named, detours, r)
+        if score < best_score:
+            return action, score
     return best, best_score
 
 

@@ -35,8 +35,8 @@ class MyopicPlanner(ABC):
     Args:
         reassign: one of `REASSIGN`.
         return_to_known: one of `RETURN_TO_KNOWN`. With ``when_complete``, robots return to searched containers only if
-        all objects found so far would complete the task, and then no robot searches. With ``at_once``, they return at
-        any time.
+            all objects found so far would complete the task, and then no robot searches. With ``at_once``, they return
+            at any time.
 
     Raises:
         ValueError: an option has a value that is not allowed.

@@ -47,7 +47,7 @@ def test_a_grown_run_equals_one_that_was_asked_for_all_at_once(
     pd.testing.assert_frame_equal(episodes(copied_output), after)
     assert cli("report", *command, cwd=workspace.path).code == 0
     page = (copied_output / "report" / "index.html").read_text()
-    assert "grown, by what was asked for" in page
+    assert "grown, request by request" in page
     assert "2 trials a cell, small, medium and large, 1 and 2 robots, by nonlearned_myopic and pouct; then" in page
     # A planner of one command and a trial of another, which neither command's own configuration has together.
     replayed = cli("replay", "trial_id=small-1-003", "planners=[eager,pouct]", *command[-1:], cwd=workspace.path)
