@@ -110,7 +110,8 @@ def _sample(
         node = NONE
     while True:
         leaf = node == NONE or depth == tree.path.size
-        if node == NONE and tree.size[NODES] < tree.nodes.size:
+        looked = node == NONE and tree.size[NODES] < tree.nodes.size
+        if looked:
             node = decision_node(model, world, tree, greedy, key)
             if depth > 0:
                 attach(tree, tree.path[depth - 1], node)
@@ -132,7 +133,7 @@ def _sample(
             key = world.state[HISTORY]
         node = child_of(tree, edge, key)
     if outcome == DECIDE:
-        outcome = rollout(model, world, greedy, rng)
+        outcome = rollout(model, world, greedy, rng, looked)
     cost_s = world.clock[0]
     if outcome == STUCK:
         cost_s += model.penalty_s
