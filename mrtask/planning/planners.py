@@ -14,9 +14,10 @@ from enum import Enum
 from importlib import import_module
 
 from mrtask.planning.greedy import Greedy
+from mrtask.planning.known import Known
 from mrtask.planning.myopic import LearnedMyopic, NonlearnedMyopic
 from mrtask.planning.paper.planner import PaperPouct
-from mrtask.planning.pouct import Known, Pouct
+from mrtask.planning.pouct import Pouct
 from mrtask.planning.problem import Planner, PlanOnly
 
 PAPERS_PLANNER = "pouct_paper"

@@ -12,20 +12,26 @@ from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
 from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
-from mrtask.planning.shared_kernel import NONE
-from mrtask.planning.team_kernel import Model, World, act, nearest_holding
+from mrtask.planning.shared_kernel import AUTOMATON, NONE
+from mrtask.planning.team_kernel import FOUND, Model, World, act, nearest_holding
 from mrtask.planning.team_model import assignment_begun, blank_world, root_world, team_model
 from mrtask.planning.tree import (
     NODES,
     SearchOptions,
     Tree,
+    best_of,
+    edges_of,
     empty_tree,
     is_settled,
     mean_cost_s,
     most_visited,
     root_statistics,
     run_search,
+    spread_s,
 )
+
+LEAST_VISITS = 1.0
+"""Among the robots that decide now, a decision with n visits takes each action at least this times sqrt(n) times."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +84,15 @@ class Pouct(PouctOptions):
         if deciders == 0:
             return Plan({})
         greedy, tree = policy(problem, self.later_weight), empty_tree(self)
-        search = kernel.Search(self.exploration, self.widening_factor, self.widening_exponent)
+        choose = _Choice(model, root, tree)
+        search = kernel.Search(self.exploration, self.widening_factor, self.widening_exponent, LEAST_VISITS)
         rng = np.array([seed], dtype=np.uint64)
         done = run_search(
             self,
             run=lambda count: kernel.run_samples(model, root, world, tree, greedy, search, rng, count),
-            is_settled=lambda samples_left: is_settled(tree, deciders, samples_left),
+            is_settled=lambda samples_left: not choose.detours and is_settled(tree, deciders, samples_left),
         )
-        best, first = most_visited(tree, 0), int(tree.nodes[0].robot)
+        best, first = choose.edge(0), int(tree.nodes[0].robot)
         info = PlanInfo(
             planning_s=perf_counter() - began_s,
             samples=done,
@@ -94,13 +101,7 @@ class Pouct(PouctOptions):
             root=root_statistics(tree, lambda action: _assignment(model, root, first, action)),
             root_robot=first,
         )
-        return Plan(_joint_action(model, root, tree, greedy), info)
-
-
-class Known(Pouct):
-    """The same search with known contents. The difference between the two is the cost of uncertainty."""
-
-    knows_contents = True
+        return Plan(_joint_action(model, root, choose, greedy), info)
 
 
 def _assignment(model: Model, root: World, robot: int, action: int) -> Assignment:
@@ -111,14 +112,43 @@ def _assignment(model: Model, root: World, robot: int, action: int) -> Assignmen
     return Assignment(nearest_holding(model, root, robot, action - containers), action - containers)
 
 
-def _joint_action(model: Model, root: World, tree: Tree, greedy: GreedyPolicy) -> dict[int, Assignment]:
-    """Follow the most visited edges through the robots that decide now, and assign greedily where the tree ends.
+class _Choice:
+    """The rule for choosing an edge of a node at which a robot decides now.
+
+    The most visited edge is chosen. A detour, which is an interaction that may hurt and leads no nearer to acceptance,
+    must be better than all else by more than the samples' standard error. Otherwise a team for which a detour costs no
+    time could make one after the other and go round in circles.
+    """
+
+    def __init__(self, model: Model, root: World, tree: Tree) -> None:
+        self.tree, self._containers = tree, len(root.containers)
+        state = model.states[root.state[AUTOMATON]]
+        self.detours = int(state.worth & ~state.nearer & root.state[FOUND])
+
+    def edge(self, node: int) -> int:
+        """Return the chosen edge, or NONE if the node has none."""
+        best = most_visited(self.tree, node)
+        if best == NONE or not self._is_detour(best):
+            return best
+        direct = best_of(self.tree, [edge for edge in edges_of(self.tree, node) if not self._is_detour(edge)])
+        if direct == NONE:
+            return best
+        error_s = spread_s(self.tree) * np.hypot(*(self.tree.edges[[best, direct]].visits ** -0.5))
+        return direct if mean_cost_s(self.tree, direct) <= mean_cost_s(self.tree, best) + error_s else best
+
+    def _is_detour(self, edge: int) -> bool:
+        obj = int(self.tree.edges[edge].action) - self._containers
+        return obj >= 0 and bool((self.detours >> obj) & 1)
+
+
+def _joint_action(model: Model, root: World, choose: _Choice, greedy: GreedyPolicy) -> dict[int, Assignment]:
+    """Follow the chosen edges through the robots that decide now, and assign greedily where the tree ends.
 
     This overwrites the root world. The greedy policy decides for a robot only if there are fewer samples than robots.
     """
     assignments: dict[int, Assignment] = {}
-    node = 0
-    while node != NONE and root.robots.undecided.any() and (edge := most_visited(tree, node)) != NONE:
+    tree, node = choose.tree, 0
+    while node != NONE and root.robots.undecided.any() and (edge := choose.edge(node)) != NONE:
         robot = int(tree.nodes[node].robot)
         act(model, root, robot, int(tree.edges[edge].action))
         assignments[robot] = assignment_begun(root, robot)

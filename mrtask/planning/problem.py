@@ -128,6 +128,8 @@ class PlanInfo:
     value_s: float = float("nan")
     root: tuple[tuple[Assignment, int, float, float], ...] = ()
     root_robot: int = -1
+    exact: bool = False
+    """Whether the plan is a known optimum rather than the result of a search."""
     """-1 if ``root`` is empty."""
 
 

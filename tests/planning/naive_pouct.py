@@ -9,6 +9,7 @@ from math import inf, log, prod, sqrt
 
 import numpy as np
 
+from mrtask.planning.pouct import LEAST_VISITS
 from tests.planning.exact_solver import WAIT, ExactSolver
 from tests.planning.naive_random import SplitMix64
 
@@ -19,12 +20,24 @@ class Node:
     visits: int = 0
     edges: list = field(default_factory=list)
 
+    @property
+    def value(self):
+        """The mean cost of the most visited edge."""
+        return min(self.edges, key=lambda edge: (-len(edge.costs), edge.mean)).mean
+
 
 @dataclass
 class Edge:
     action: object  # container, WAIT or (container, object): see `NaivePouct.resolve`
-    costs: list = field(default_factory=list)
+    costs: list = field(default_factory=list)  # of all samples
+    ended: list = field(default_factory=list)  # of those that went to no edge of a child
     children: dict = field(default_factory=dict)
+    mean: float = inf
+
+    def back_up(self):
+        """Samples through children count as if they had taken the child's most visited edge."""
+        through = [child for child in self.children.values() if child.edges]
+        self.mean = (sum(self.ended) + sum(child.visits * child.value for child in through)) / len(self.costs)
 
 
 def worth_doing(problem):
@@ -70,9 +83,9 @@ class NaivePouct(ExactSolver):
         return self.tree
 
     def sample(self):
-        state, node, path = self.root, self.tree, []
+        state, node, path, at_root = self.root, self.tree, [], True
         while True:
-            edge = self.select(state, node)
+            edge = self.select(state, node, at_root)
             node.visits += 1
             if edge is None:
                 state = self.rollout(state)
@@ -83,6 +96,7 @@ class NaivePouct(ExactSolver):
             observed = None
             if not state.undecided:
                 state, done = self.unfold(state)
+                at_root = False
                 observed = tuple(after for now, after in zip(before.held, state.held, strict=True) if now is None)
                 if done:
                     break
@@ -98,10 +112,12 @@ class NaivePouct(ExactSolver):
         if len(self.costs) > 1:
             self.spreads.append(float(np.std(self.costs)))
             self.spread = max(self.spreads)
-        for edge in path:
+        path[-1].ended.append(cost)
+        for edge in reversed(path):
             edge.costs.append(cost)
+            edge.back_up()
 
-    def select(self, state, node):
+    def select(self, state, node, at_root):
         options = self.options
         if not node.edges or len(node.edges) < options.widening_factor * node.visits**options.widening_exponent:
             action = self.next_action(state, node)
@@ -110,9 +126,12 @@ class NaivePouct(ExactSolver):
                 node.edges.append(Edge(action))
                 return node.edges[-1]
 
+        least = min(reversed(node.edges), key=lambda edge: len(edge.costs), default=None)
+        if at_root and least is not None and len(least.costs) < LEAST_VISITS * sqrt(node.visits):
+            return least
+
         def bound(edge):
-            radius = options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
-            return sum(edge.costs) / len(edge.costs) - radius
+            return edge.mean - options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
 
         return min(reversed(node.edges), key=bound, default=None)
 
