@@ -120,7 +120,7 @@ def _score(
     else:
         state = model.states[world.state[AUTOMATON]]
         useful = container.holds & state.needed
-        if useful & state.safe & ~fetching:
+        if useful & state.automatic & ~fetching:
             weight = 1.0
         elif ahead and useful & ~state.nearer and not _stands_ready(model, world, r):
             weight = 1.0 / greedy.later_weight
@@ -190,7 +190,7 @@ def _best(
         if best != NONE or ahead:
             break
     state = model.states[world.state[AUTOMATON]]
-    named = (state.worth if detours else state.nearer) & ~state.safe & world.state[FOUND] & ~fetching
+    named = (state.worth if detours else state.nearer) & ~state.automatic & world.state[FOUND] & ~fetching
     if named:
         action, score = _best_named(model, world, greedy, named, detours, r)
         if score < best_score:

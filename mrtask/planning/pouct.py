@@ -1,6 +1,7 @@
 """The planner `pouct`, which is ours.
 
-It runs PO-UCT (Silver & Veness 2010) over the team's concurrent actions, with greedy rollouts.
+It runs PO-UCT (Silver & Veness 2010) over the team's concurrent actions, with greedy rollouts. Interactions that cannot
+hurt the task are automatic where they take no time; where they do, the search decides on them like on all others.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +12,17 @@ import numpy as np
 from mrtask.planning import pouct_kernel as kernel
 from mrtask.planning.greedy import LATER_WEIGHT, assign_greedily, check_later_weight, policy
 from mrtask.planning.greedy_kernel import GreedyPolicy
-from mrtask.planning.problem import REASSIGN, WAIT, Assignment, Plan, PlanInfo, PlanningProblem, check_choice
+from mrtask.planning.problem import (
+    ANY_SAFE,
+    NONE_UNNAMED,
+    REASSIGN,
+    WAIT,
+    Assignment,
+    Plan,
+    PlanInfo,
+    PlanningProblem,
+    check_choice,
+)
 from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_kernel import FOUND, Model, World, act, nearest_holding
 from mrtask.planning.team_model import assignment_begun, blank_world, root_world, team_model
@@ -78,7 +89,9 @@ class Pouct(PouctOptions):
         began_s = perf_counter()
         if problem.automaton.accepting[problem.state]:
             return Plan({index: Assignment(WAIT) for index, robot in enumerate(problem.robots) if robot.free})
-        model = team_model(problem)
+        decide_all = problem.interact_time_s > 0
+        unnamed = NONE_UNNAMED if decide_all else ANY_SAFE
+        model = team_model(problem, decide_all)
         root, world = root_world(problem, model, self.reassign == "all"), blank_world(problem)
         deciders = int(root.robots.undecided.sum())
         if deciders == 0:
@@ -98,17 +111,17 @@ class Pouct(PouctOptions):
             samples=done,
             tree_nodes=int(tree.size[NODES]),
             value_s=mean_cost_s(tree, best),
-            root=root_statistics(tree, lambda action: _assignment(model, root, first, action)),
+            root=root_statistics(tree, lambda action: _assignment(model, root, first, action, unnamed)),
             root_robot=first,
         )
-        return Plan(_joint_action(model, root, choose, greedy), info)
+        return Plan(_joint_action(model, root, choose, greedy, unnamed), info)
 
 
-def _assignment(model: Model, root: World, robot: int, action: int) -> Assignment:
+def _assignment(model: Model, root: World, robot: int, action: int, unnamed: int) -> Assignment:
     """Return the assignment that an action of the tree stands for, for a robot at the root."""
     containers = len(root.containers.searched)
     if action < containers:
-        return Assignment(action)
+        return Assignment(action, unnamed)
     return Assignment(nearest_holding(model, root, robot, action - containers), action - containers)
 
 
@@ -141,7 +154,9 @@ class _Choice:
         return obj >= 0 and bool((self.detours >> obj) & 1)
 
 
-def _joint_action(model: Model, root: World, choose: _Choice, greedy: GreedyPolicy) -> dict[int, Assignment]:
+def _joint_action(
+    model: Model, root: World, choose: _Choice, greedy: GreedyPolicy, unnamed: int
+) -> dict[int, Assignment]:
     """Follow the chosen edges through the robots that decide now, and assign greedily where the tree ends.
 
     This overwrites the root world. The greedy policy decides for a robot only if there are fewer samples than robots.
@@ -151,6 +166,8 @@ def _joint_action(model: Model, root: World, choose: _Choice, greedy: GreedyPoli
     while node != NONE and root.robots.undecided.any() and (edge := choose.edge(node)) != NONE:
         robot = int(tree.nodes[node].robot)
         act(model, root, robot, int(tree.edges[edge].action))
-        assignments[robot] = assignment_begun(root, robot)
+        assignments[robot] = assignment_begun(root, robot, unnamed)
         node = int(tree.edges[edge].first_child)
-    return assignments | assign_greedily(model, root, greedy) if root.robots.undecided.any() else assignments
+    if root.robots.undecided.any():
+        return assignments | assign_greedily(model, root, greedy, unnamed=unnamed)
+    return assignments

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import ANY_SAFE, WAIT
+from mrtask.planning.problem import WAIT
 from mrtask.planning.team_model import stuck_penalty_s
 from tests.planning.exact_paper_solver import ExactPaperSolver
 from tests.planning.exact_solver import ExactSolver
@@ -41,7 +41,7 @@ def first_actions(name, plan):
     for robot, (container, interaction) in plan.assignments.items():
         if container == WAIT:
             joint[robot] = WAIT
-        elif name == "pouct" and interaction == ANY_SAFE:
+        elif name == "pouct" and interaction < 0:
             joint[robot] = container
         else:
             joint[robot] = (container, interaction)

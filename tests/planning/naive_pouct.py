@@ -67,8 +67,8 @@ def worth_doing(problem):
 
 
 class NaivePouct(ExactSolver):
-    def __init__(self, problem, prob, seed, options):
-        super().__init__(problem, prob, options.reassign == "all")
+    def __init__(self, problem, prob, seed, options, decide_all=None):
+        super().__init__(problem, prob, options.reassign == "all", decide_all)
         self.random = SplitMix64(seed)
         self.options = options
         self.costs, self.spreads, self.spread = [], [0.0], 1.0
@@ -202,7 +202,7 @@ class NaivePouct(ExactSolver):
                 other = robot.action[1]
             if other in self.advancing[state.z]:
                 after = int(self.delta[state.z, other])
-                if other not in self.safe[state.z] or o not in self.nearer[after]:
+                if other not in self.harmless[state.z] or o not in self.nearer[after]:
                     return True
         return False
 

@@ -5,7 +5,7 @@ import pytest
 
 from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, RobotStatus
+from mrtask.planning.problem import WAIT, Assignment, RobotStatus
 from mrtask.planning.team_kernel import history_after
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
@@ -22,7 +22,7 @@ CASES = [
 
 def first_actions(plan):
     return {
-        robot: a.container if a.interaction == ANY_SAFE else (a.container, a.interaction)
+        robot: a.container if a.interaction < 0 else (a.container, a.interaction)
         for robot, a in plan.assignments.items()
     }
 
