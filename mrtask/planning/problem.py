@@ -122,8 +122,8 @@ class PlanInfo:
     """Why a plan was chosen. Search planners fill in every field; rule-based planners fill in only ``planning_s``.
 
     A search decides for one robot after the other. ``root`` lists the candidate actions of the first robot,
-    ``root_robot``, starting with the most visited: ``(assignment, visits, mean cost in s, spread in s)``. A plan that is
-    known to be optimal without a search has a ``value_s`` and no samples.
+    ``root_robot``, starting with the most visited: ``(assignment, visits, mean cost in s, spread in s)``. A plan known
+    to be optimal without a search has a ``value_s`` and no samples.
     """
 
     planning_s: float = 0.0

@@ -16,7 +16,9 @@ from tests.planning.exact_solver import SAME_INSTANT_S, WAIT, ExactSolver
 NONE = -1
 SEARCH = -2
 DEPTH = 400
-Z, FREED, NEWS, HEADER = 0, 1, 2, 3
+Z, FREED, NEWS, SEEN, DEAD, HEADER = 0, 1, 2, 3, 4, 5
+"""Of a state's integers. SEEN is a mask of the automaton's states so far. A team that comes back to one by a named
+interaction could have left out what lies between: its run is DEAD."""
 PLACE, TARGET, WANT, BUSY, UNDECIDED, WIDTH = 0, 1, 2, 3, 4, 5
 """A robot's integers: NONE for no place, action or wish, and while not busy; BUSY may be SEARCH or an object."""
 UNTIL, DEPARTED, REACH = 0, 1, 2
@@ -205,8 +207,10 @@ def _event(task, whole, real, r):
         if news:
             whole[Z], whole[NEWS] = task.delta[z, o], 1
         if named:
+            whole[DEAD] = news and (whole[SEEN] >> whole[Z]) & 1
             _free(task, whole, real, r)
             whole[FREED] = 1
+        whole[SEEN] |= 1 << whole[Z]
         if news:
             _wake(task, whole, real)
         if named:
@@ -286,6 +290,8 @@ def _cost(task, wholes, reals, d, phase, bound):
         if real[0] >= bound:
             return bound
         if not _event(task, whole, real, due):
+            if whole[DEAD]:
+                return np.inf
             if task.accepting[whole[Z]]:
                 return real[0]
             continue
@@ -335,7 +341,7 @@ class FastSolver:
         self.wholes = np.zeros((DEPTH, HEADER + containers + WIDTH * len(problem.robots)), dtype=np.int64)
         self.reals = np.zeros((DEPTH, 1 + (REACH + containers) * len(problem.robots)))
         whole, real = self.wholes[0], self.reals[0]
-        whole[Z] = slow.root.z
+        whole[Z], whole[SEEN] = slow.root.z, 1 << slow.root.z
         for c, held in enumerate(slow.root.held):
             whole[HEADER + c] = NONE if held is None else sum(1 << o for o in held)
         for r, robot in enumerate(slow.root.robots):

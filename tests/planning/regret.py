@@ -32,9 +32,8 @@ ORDERED = (
     "(F a) U (b & F c)",
 )
 """Tasks in which the order of interactions matters."""
-TASKS = (*((make_formula(name, NAMES), TEMPLATES[name].arity) for name in PAPER_TEMPLATES), *(
-    (formula, 1 + max(NAMES.index(letter) for letter in formula if letter in NAMES)) for formula in ORDERED
-))  # fmt: skip
+TASKS = [(make_formula(name, NAMES[: TEMPLATES[name].arity]), TEMPLATES[name].arity) for name in PAPER_TEMPLATES]
+TASKS += [(formula, 1 + max(NAMES.index(letter) for letter in formula if letter in NAMES)) for formula in ORDERED]
 SHAPES = {2: ((1, 3), (2, 3), (2, 4), (2, 2), (1, 4)), 3: ((1, 3), (2, 2), (2, 3), (1, 4)), 4: ((1, 3), (2, 2))}
 """Robots and containers by the number of objects: what is solved exactly in seconds."""
 
