@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from mrtask.planning.compiled import KERNEL, called, inlined
+from mrtask.planning.compiler import KernelCompiler
 from tests.planning.exact_solver import SAME_INSTANT_S, WAIT, ExactSolver
 
 NONE = -1
@@ -40,18 +42,27 @@ class Task(NamedTuple):
     interact_s: float
 
 
-@njit(cache=True)
+@inlined
 def _robot(r, containers):
     """Where a robot's integers and floats begin."""
     return HEADER + containers + r * WIDTH, 1 + r * (REACH + containers)
 
 
-@njit(cache=True)
+@inlined
+def _copy(wholes, reals, d):
+    """Copy the state at depth ``d`` to the next depth."""
+    for i in range(wholes.shape[1]):
+        wholes[d + 1, i] = wholes[d, i]
+    for i in range(reals.shape[1]):
+        reals[d + 1, i] = reals[d, i]
+
+
+@inlined
 def _moving(whole, i):
     return whole[i + TARGET] != NONE and whole[i + BUSY] == NONE
 
 
-@njit(cache=True)
+@called
 def _distance(task, whole, real, r, c):
     i, f = _robot(r, len(task.travel))
     if not _moving(whole, i):
@@ -60,18 +71,16 @@ def _distance(task, whole, real, r, c):
     return min(ahead, real[0] - real[f + DEPARTED] + real[f + REACH + c])
 
 
-@njit(cache=True)
+@inlined
 def _stop(task, whole, real, r):
     """A robot under way stops where it is."""
     containers = len(task.travel)
     _, f = _robot(r, containers)
-    away = np.empty(containers)
     for c in range(containers):
-        away[c] = _distance(task, whole, real, r, c)
-    real[f + REACH : f + REACH + containers] = away
+        real[f + REACH + c] = _distance(task, whole, real, r, c)
 
 
-@njit(cache=True)
+@called
 def _act(task, whole, real, r, target, want):
     i, f = _robot(r, len(task.travel))
     whole[i + UNDECIDED] = 0
@@ -89,7 +98,7 @@ def _act(task, whole, real, r, target, want):
         real[f + UNTIL] = real[0] + real[f + REACH + target]
 
 
-@njit(cache=True)
+@inlined
 def _found(whole, containers):
     found = 0
     for c in range(containers):
@@ -98,7 +107,7 @@ def _found(whole, containers):
     return found
 
 
-@njit(cache=True)
+@inlined
 def _useful(task, whole, real, r, c):
     """Whether going to a container without naming an object is an option."""
     containers, z = len(task.travel), whole[Z]
@@ -121,7 +130,7 @@ def _useful(task, whole, real, r, c):
     return (held & needed & task.safe[z]) != 0 or ((held & later) != 0 and not ready)
 
 
-@njit(cache=True)
+@inlined
 def _nearest(task, whole, real, r, o):
     best = NONE
     for c in range(len(task.travel)):
@@ -135,7 +144,7 @@ def _nearest(task, whole, real, r, o):
     return best
 
 
-@njit(cache=True)
+@inlined
 def _may_wait(task, whole, r):
     for other in range(task.robots):
         j, _ = _robot(other, len(task.travel))
@@ -144,14 +153,14 @@ def _may_wait(task, whole, r):
     return False
 
 
-@njit(cache=True)
+@inlined
 def _free(task, whole, real, r):
     i, f = _robot(r, len(task.travel))
     whole[i + TARGET], whole[i + WANT], whole[i + BUSY] = NONE, NONE, NONE
     real[f + UNTIL] = np.inf
 
 
-@njit(cache=True)
+@called
 def _interact(task, whole, real, r):
     """Whether the robot begins an interaction that its action allows."""
     i, f = _robot(r, len(task.travel))
@@ -167,7 +176,7 @@ def _interact(task, whole, real, r):
     return True
 
 
-@njit(cache=True)
+@inlined
 def _wake(task, whole, real):
     for r in range(task.robots):
         i, _ = _robot(r, len(task.travel))
@@ -178,21 +187,22 @@ def _wake(task, whole, real):
                 _free(task, whole, real, r)
 
 
-@njit(cache=True)
+@inlined
 def _begin_or_free(task, whole, real, r):
     if not _interact(task, whole, real, r):
         _free(task, whole, real, r)
         whole[FREED] = 1
 
 
-@njit(cache=True)
+@called
 def _event(task, whole, real, r):
     """Handle a robot's event; whether its container's contents are to be drawn first."""
     containers = len(task.travel)
     i, f = _robot(r, containers)
     c = whole[i + TARGET]
     if whole[i + BUSY] == NONE:
-        real[f + REACH : f + REACH + containers] = task.travel[c]
+        for other in range(containers):
+            real[f + REACH + other] = task.travel[c, other]
         whole[i + PLACE] = c
         if whole[HEADER + c] == NONE:
             whole[i + BUSY] = SEARCH
@@ -219,7 +229,7 @@ def _event(task, whole, real, r):
     return False
 
 
-@njit(cache=True)
+@inlined
 def _weight(task, whole, c, held):
     """The probability that a container about to be searched holds these of the needed objects."""
     found, needed, weight = _found(whole, len(task.travel)), task.needed[whole[Z]], 1.0
@@ -239,7 +249,7 @@ def _weight(task, whole, c, held):
     return weight
 
 
-@njit(cache=True)
+@njit(pipeline_class=KernelCompiler, **KERNEL)  # numba crashes where it loads a recursive function from its cache
 def _cost(task, wholes, reals, d, phase, bound):
     """The least expected makespan from the state at depth ``d``; any figure of at least ``bound`` if it is no less."""
     whole, real, containers = wholes[d], reals[d], len(task.travel)
@@ -269,7 +279,7 @@ def _cost(task, wholes, reals, d, phase, bound):
             elif not _useful(task, whole, real, decider, action):
                 continue
             tried += 1
-            wholes[d + 1], reals[d + 1] = whole, real
+            _copy(wholes, reals, d)
             _act(task, wholes[d + 1], reals[d + 1], decider, target, want)
             best = min(best, _cost(task, wholes, reals, d + 1, DECIDE, best))
         return best
@@ -302,7 +312,7 @@ def _cost(task, wholes, reals, d, phase, bound):
             weight = _weight(task, whole, c, held)
             if weight <= 1e-12:
                 continue
-            wholes[d + 1], reals[d + 1] = whole, real
+            _copy(wholes, reals, d)
             wholes[d + 1][HEADER + c] = held
             if held & ~found:
                 wholes[d + 1][NEWS] = 1
@@ -345,7 +355,7 @@ class FastSolver:
         for c, held in enumerate(slow.root.held):
             whole[HEADER + c] = NONE if held is None else sum(1 << o for o in held)
         for r, robot in enumerate(slow.root.robots):
-            i, f = _robot.py_func(r, containers)
+            i, f = _robot(r, containers)
             target, want = robot.action or (NONE, None)
             whole[i : i + WIDTH] = (
                 NONE if robot.place is None else robot.place,

@@ -1,10 +1,10 @@
 """How much worse than the optimum `pouct`'s first decisions are, on many small problems and with the shipped options.
 
-    python -m tests.planning.regret [--problems 1000] [--samples 10000 100000] [--seeds 3] [--closed 200]
+    python -m tests.planning.regret [--problems 1000] [--samples 10000 100000] [--seeds 0 1 2] [--closed]
 
 A problem's regret is how much longer than the optimum the task takes, in expectation, after the planner's first joint
-action if all that follows is optimal. ``--closed`` also measures the closed loop, in which the planner decides at every
-instant of every run of so many problems. Optima come from `fast_solver` and are kept in ``--cache``.
+action if all that follows is optimal; with ``--closed``, if the planner makes all decisions that follow. Optima come
+from `fast_solver` and are kept in ``--cache``.
 """
 
 import argparse
@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from mrtask.planning.planners import make_planner
+from mrtask.planning.problem import ANY_SAFE, RobotStatus
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
+from tests.planning.exact_solver import ExactSolver
 from tests.planning.exactness import first_actions
 from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import NAMES, make_problem
@@ -78,10 +80,58 @@ class Optima:
         self.path.write_text(json.dumps(self.known))
 
 
-def regret(number, optima, samples, seed):
-    problem = regret_problem(number)
-    plan = make_planner("pouct", {"samples": samples}).plan(problem, seed)
+class ClosedLoop(ExactSolver):
+    """The expected makespan when a planner makes all decisions, over every outcome of every search."""
+
+    def __init__(self, problem, planner, seed):
+        super().__init__(problem, problem.presence_prob)
+        self.planner, self.seed = planner, seed
+
+    def _decide(self, state):
+        plan = self.planner.plan(self._seen(state), self.seed)
+        for robot, action in first_actions("pouct", plan).items():
+            state = self._act(state, robot, action)
+        return self._expected(replace(state, undecided=frozenset()))
+
+    def _seen(self, state):
+        """A state as the planner sees it."""
+        searched = np.array([held is not None for held in state.held])
+        prob = self.prob.copy()
+        for c in np.flatnonzero(searched):
+            prob[c] = [o in state.held[c] for o in range(prob.shape[1])]
+        return replace(
+            self.problem,
+            state=state.z,
+            presence_prob=prob,
+            searched=searched,
+            robots=tuple(self._status(state, r) for r in range(len(state.robots))),
+            may_redirect=any(state.robots[r].moving for r in state.undecided),
+        )
+
+    def _status(self, state, r):
+        robot = state.robots[r]
+        away_s = np.array([self._distance(state, r, c) for c in range(len(state.held))])
+        if robot.action is None:
+            return RobotStatus(away_s, place=-1 if robot.place is None else robot.place)
+        container, named = robot.action
+        busy = not robot.moving
+        return RobotStatus(
+            away_s,
+            place=container if busy else -1,
+            free=False,
+            target=-1 if busy else container,
+            interaction=ANY_SAFE if named is None else named,
+            remaining_s=robot.until - state.clock,
+            interacting=robot.busy if isinstance(robot.busy, int) else -1,
+        )
+
+
+def regret(number, optima, samples, seed, closed=False):
+    problem, planner = regret_problem(number), make_planner("pouct", {"samples": samples})
     best_s = optima.value(number, problem)
+    if closed:
+        return ClosedLoop(problem, planner, seed).optimum() / best_s - 1, np.nan
+    plan = planner.plan(problem, seed)
     return optima.value(number, problem, first_actions("pouct", plan)) / best_s - 1, plan.info.value_s / best_s
 
 
@@ -90,15 +140,16 @@ def main():
     parser.add_argument("--problems", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--samples", type=int, nargs="+", default=[10_000, 100_000])
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--closed", action="store_true")
     parser.add_argument("--cache", default="optima.json")
     arguments = parser.parse_args()
     optima = Optima(arguments.cache)
     for samples in arguments.samples:
-        for seed in range(arguments.seeds):
+        for seed in arguments.seeds:
             found = np.array(
                 [
-                    regret(number, optima, samples, 1000 * seed + number)
+                    regret(number, optima, samples, 1000 * seed + number, arguments.closed)
                     for number in range(arguments.first, arguments.first + arguments.problems)
                 ]
             )
