@@ -17,7 +17,7 @@ from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT
 from mrtask.planning.team_model import stuck_penalty_s
 from tests.planning.exact_paper_solver import ExactPaperSolver
-from tests.planning.exact_solver import ExactSolver
+from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import tiny_problem
 
 EXACT = 0.01
@@ -32,7 +32,7 @@ def exact_solver(name, problem, exists=False):
     """The solver of a planner's own abstraction."""
     if name == "pouct_paper":
         return ExactPaperSolver(problem, stuck_penalty_s(problem), exists)
-    return ExactSolver(problem, problem.presence_prob)
+    return FastSolver(problem, problem.presence_prob)
 
 
 def first_actions(name, plan):

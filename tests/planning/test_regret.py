@@ -10,7 +10,7 @@ from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import tiny_problem
 from tests.planning.regret import regret_problem
 
-HARD = (0,)
+HARD = (28, 255, 271)
 """Problems of two robots whose best joint action looks bad until both of its parts were tried together."""
 
 
@@ -18,8 +18,8 @@ HARD = (0,)
 def test_the_compiled_solver_equals_the_plain_one(first):
     for number in range(first, first + 6):
         problem = tiny_problem(number)
-        if len(problem.robots) * len(problem.searched) > 4:
-            continue
+        if len(problem.robots) * len(problem.searched) > (2 if problem.interact_time_s else 4):
+            continue  # plain Python would take too long
         fast, slow = FastSolver(problem, problem.presence_prob), ExactSolver(problem, problem.presence_prob)
         assert fast.optimum() == pytest.approx(slow.optimum(), rel=1e-12)
         joint = first_actions("pouct", make_planner("pouct", {"samples": 50}).plan(problem, number))
