@@ -38,7 +38,7 @@ from .planning.myopic import NonlearnedMyopic as NonlearnedMyopic
 from .planning.paper.planner import PaperPouct as PaperPouct
 from .planning.planners import PLANNERS as PLANNERS
 from .planning.planners import make_planner as make_planner
-from .planning.pouct import Known as Known
+from .planning.known import Known as Known
 from .planning.pouct import Pouct as Pouct
 from .planning.problem import WAIT as WAIT
 from .planning.problem import Assignment as Assignment

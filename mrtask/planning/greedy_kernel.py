@@ -263,7 +263,7 @@ def assign(model: Model, world: World, greedy: GreedyPolicy, looked: bool = Fals
 
 
 @inlined
-def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s, looked: bool) -> int:
+def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s, looked: bool = False) -> int:
     """Finish the task greedily, and return DONE or STUCK. See `assign` for ``looked``.
 
     The rollout ends because each search, and each interaction that the policy makes, happens a bounded number of times:

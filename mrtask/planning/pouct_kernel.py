@@ -42,6 +42,9 @@ from mrtask.planning.tree import (
 WAIT_RANK = 2
 """A tree node tries waiting after this many containers."""
 
+TIE_S = 1e-9
+"""Bounds that differ by less are equal. Actions that lead to the same costs would otherwise differ by rounding."""
+
 
 class Search(NamedTuple):
     """The options of the search."""
@@ -110,7 +113,7 @@ def _select(
         edge = least_visited(tree, node)
         if edge != NONE and tree.edges[edge].visits < search.least_visits * np.sqrt(float(tree.nodes[node].visits)):
             return edge
-    return least_bound(tree, node, search.exploration * spread_s(tree))
+    return least_bound(tree, node, search.exploration * spread_s(tree), TIE_S)
 
 
 @inlined

@@ -189,15 +189,18 @@ def spread_s(tree: Tree) -> float:
 
 
 @inlined
-def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
-    """Return a node's edge with the least lower confidence bound (UCB1 for costs), or NONE if it has no edge."""
+def least_bound(tree: Tree, node: int, exploration_s: float, tie_s: float = 0.0) -> int:
+    """Return a node's edge with the least lower confidence bound (UCB1 for costs), or NONE if it has no edge.
+
+    A newer edge is taken unless an older one is better by more than ``tie_s``.
+    """
     radius_s = exploration_s * np.sqrt(np.log(tree.nodes[node].visits + 1.0))
     best, best_bound = NONE, np.inf
     edge = tree.nodes[node].first_edge
     while edge != NONE:
         record = tree.edges[edge]
         bound = record.mean_s - radius_s * record.width
-        if bound < best_bound:
+        if bound < best_bound - tie_s:
             best, best_bound = edge, bound
         edge = record.next_edge
     return best

@@ -10,6 +10,7 @@ from math import inf, log, prod, sqrt
 import numpy as np
 
 from mrtask.planning.pouct import LEAST_VISITS
+from mrtask.planning.pouct_kernel import TIE_S
 from tests.planning.exact_solver import WAIT, ExactSolver
 from tests.planning.naive_random import SplitMix64
 
@@ -19,8 +20,8 @@ class Node:
     robot: int
     visits: int = 0
     edges: list = field(default_factory=list)
+    passed: float = 0.0  # visits times the mean cost of the most visited edge
 
-    @property
     def value(self):
         """The mean cost of the most visited edge."""
         return min(self.edges, key=lambda edge: (-len(edge.costs), edge.mean)).mean
@@ -30,14 +31,12 @@ class Node:
 class Edge:
     action: object  # container, WAIT or (container, object): see `NaivePouct.resolve`
     costs: list = field(default_factory=list)  # of all samples
-    ended: list = field(default_factory=list)  # of those that went to no edge of a child
+    total: float = 0.0  # of the costs, as if samples through a child had taken the child's most visited edge
     children: dict = field(default_factory=dict)
-    mean: float = inf
 
-    def back_up(self):
-        """Samples through children count as if they had taken the child's most visited edge."""
-        through = [child for child in self.children.values() if child.edges]
-        self.mean = (sum(self.ended) + sum(child.visits * child.value for child in through)) / len(self.costs)
+    @property
+    def mean(self):
+        return self.total / len(self.costs)
 
 
 def worth_doing(problem):
@@ -90,7 +89,7 @@ class NaivePouct(ExactSolver):
             if edge is None:
                 state = self.rollout(state)
                 break
-            path.append(edge)
+            path.append((node, edge))
             before = state
             state = self._act(state, node.robot, self.resolve(state, node.robot, edge.action))
             observed = None
@@ -112,10 +111,12 @@ class NaivePouct(ExactSolver):
         if len(self.costs) > 1:
             self.spreads.append(float(np.std(self.costs)))
             self.spread = max(self.spreads)
-        path[-1].ended.append(cost)
-        for edge in reversed(path):
+        gained = cost
+        for at, edge in reversed(path):
             edge.costs.append(cost)
-            edge.back_up()
+            edge.total += gained
+            passed = at.visits * at.value()
+            gained, at.passed = passed - at.passed, passed
 
     def select(self, state, node, at_root):
         options = self.options
@@ -133,7 +134,11 @@ class NaivePouct(ExactSolver):
         def bound(edge):
             return edge.mean - options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
 
-        return min(reversed(node.edges), key=bound, default=None)
+        best, least = None, inf
+        for edge in reversed(node.edges):
+            if bound(edge) < least - TIE_S:
+                best, least = edge, bound(edge)
+        return best
 
     def next_action(self, state, node):
         tried = {edge.action for edge in node.edges}

@@ -31,6 +31,6 @@ def test_the_search_does_not_lock_in_to_its_first_impression(number):
     problem = regret_problem(number)
     solver = FastSolver(problem, problem.presence_prob)
     optimum_s = solver.optimum()
-    plans = [make_planner("pouct", {"samples": 20_000}).plan(problem, seed) for seed in range(5)]
+    plans = [make_planner("pouct").plan(problem, seed) for seed in range(3)]
     worse = np.array([solver.value(first_actions("pouct", plan)) / optimum_s - 1 for plan in plans])
     assert (worse < 0.02).all()
