@@ -23,7 +23,7 @@ from typing import Annotated
 
 import numpy as np
 import shapely
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 from scipy import ndimage
 
 from mrtask.arrays import Bools, Ints
@@ -36,7 +36,7 @@ from mrtask.maps.home_map import REACH_M
 from mrtask.maps.ros_image import ImageError, read_cells
 from mrtask.maps.yaml_file import MapError as MapError
 from mrtask.maps.yaml_file import Schema, YamlFile
-from mrtask.names import counted
+from mrtask.names import check_name, counted
 
 DEFAULT_SIZE_M = Size(0.3, 0.5, 0.3)
 """The size of containers whose type the catalogue does not know."""
@@ -51,7 +51,8 @@ of furniture."""
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Share = Annotated[float, Field(ge=0, le=1)]
-_Name = Annotated[str, Field(min_length=1)]
+_Text = Annotated[str, Field(min_length=1)]
+_Name = Annotated[str, AfterValidator(check_name)]
 
 
 class MapWarning(UserWarning):
@@ -61,7 +62,7 @@ class MapWarning(UserWarning):
 class _MapFile(Schema):
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
 
-    image: _Name
+    image: _Text
     resolution: _Positive
     origin: list[float] = Field(min_length=2, max_length=3)
     negate: bool | int = 0

@@ -150,6 +150,8 @@ def test_a_room_around_another_is_cut_so_that_they_do_not_overlap(tmp_path):
         (MAP + "date: 2026-13-45\n", r"line 7: date: '2026-13-45' cannot be read \(month must be"),
         (MAP + "made: !ros/map x\n", r"line 7: made: could not determine a constructor for the tag '!ros/map'"),
         (MAP + "note: a\x07b\n", r"line 7: is not YAML \(character 7: special characters"),
+        ("3", r"^map\.yaml, line 1: should hold keys and values"),
+        (MAP.replace("negate: 0", "negate: x"), r"line 4: negate: input should be a valid boolean or a valid integer"),
         (MAP + "note: &a [*a]\n", r"map\.yaml: is nested too deeply, or refers to itself"),
         (MAP + "note: " + "[" * 3000 + "]" * 3000, r"map\.yaml: is nested too deeply, or refers to itself"),
     ],
@@ -179,12 +181,19 @@ def test_bad_maps(tmp_path, text, message):
         ),
         ("name: sofa", "name: fridge", r"line 4: containers\[1\]\.name: 'fridge' is used twice"),
         ("    type: Rack\n", "", r"line 5: containers\[2\]\.type: field required"),
-        ("    yaw_deg: 90", "    angle: 90", r"line 9: containers\[2\]\.angle: extra inputs are not permitted"),
+        ("    yaw_deg: 90", "    angle: 90", r"line 9: containers\[2\]\.angle: no such key"),
         (
             "kitchen: Kitchen",
             "kitten: Kitchen",
             r"line 1: rooms\.kitten: no container is in this room; the rooms are kitchen",
         ),
+        (CONTAINERS, "containers: [3]", r"line 1: containers\[0\]: should hold keys and values$"),
+        (
+            "objects: [Egg, Apple, Egg]",
+            "objects: ['a\"b']",
+            r"line 3: containers\[0\]\.objects\[0\]: the name 'a\"b' holds '\"'",
+        ),
+        ("name: sofa", "name: ' '", r"line 4: containers\[1\]\.name: a name cannot be empty"),
         ("size: [0.6, 0.6]", "size: [0.6, -1]", r"line 3: containers\[0\]\.size\[1\]: input should be greater than 0"),
     ],
 )
@@ -208,7 +217,7 @@ def test_keys_without_a_value_count_as_left_out(tmp_path, home):
 def test_numbers_as_cpp_programs_write_them(tmp_path, home):
     text = MAP.replace("-1.0, -2.0, 0.0", "-1e0, -2, 1e-17").replace("0.05", "5e-2")
     assert read_ros_map(*write(tmp_path, map_text=text)).id == home.id
-    with pytest.raises(MapError, match=r"line 2: resolution: input should be a valid number"):
+    with pytest.raises(MapError, match=r"line 2: resolution: should be a number, not the text '0.05'"):
         read_ros_map(*write(tmp_path, map_text=MAP.replace("0.05", "'0.05'")))
 
 
