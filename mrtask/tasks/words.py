@@ -1,9 +1,9 @@
 """Read tasks in words: ``laptop or wallet, then remote, then tv`` and ``bring the mug to the sofa`` become formulas.
 
-``and``, ``or`` and ``then`` join words for objects. A comma in front of one of these binds loosest; a comma in a list
-stands for the word at the list's end (``a, b and c``); brackets settle the rest. The reader tries every way to bracket
-the text. If two ways give different tasks, it refuses the text and shows the readings that it could have. A name in
-double quotes is taken as it stands.
+``and``, ``or`` and ``then`` join words for objects. A comma or a full stop in front of one of these binds loosest; a
+comma in a list stands for the word at the list's end (``a, b and c``); brackets settle the rest. The reader tries every
+way to bracket the text. If two ways give different tasks, it refuses the text and shows the readings that it could
+have. A name in double quotes is taken as it stands.
 
 ``a then b`` is the template ``seq2``: b must not be done before a. A delivery is the interaction with the object and
 later one with the place, which is a container's name; a formula cannot say that one robot does both.
@@ -43,10 +43,13 @@ MAX_NAME_WORDS = 3
 """Longer names are taken for sentences, likewise."""
 _QUOTE = '"'
 _QUOTED = re.compile(r'"[^"]*"')
-_TOKEN = re.compile(rf"\w[\w\-]*|[,()]|{_QUOTED.pattern}")
+_TOKEN = re.compile(rf"\w[\w\-]*|[,.()]|{_QUOTED.pattern}")
 _FORMULA = re.compile(rf"[!&|]|->|(?<!\w)({'|'.join(RESERVED_WORDS)})(?!\w)")
 _GLUED_NAME = re.compile(r"([XF]+)([A-Z]\w*)")
 """A name that looks like operators without a space before a name: ``FMug``."""
+
+_MARKS = ("", ",", ".", "(", ")")
+"""What ends a name, apart from some words; the first is the end of the text."""
 
 Operator = Literal["and", "or", "then"]
 
@@ -193,10 +196,9 @@ class _Parser:
             raise WordsError(f"is longer than {MAX_CHARACTERS} characters; give a formula", text[:40] + "...")
         text = text.strip().removesuffix(".")
         if stray := _TOKEN.sub("", text).strip():
-            hint = "; join sentences by 'and' or 'then'" if stray[0] == "." else ""
             raise WordsError(
-                f"unexpected {stray[0]!r}; words, commas and brackets are allowed, and any sign in a name in double "
-                f"quotes{hint}",
+                f"unexpected {stray[0]!r}; words, commas, full stops and brackets are allowed, and any sign in a "
+                "name in double quotes",
                 self.text,
             )
         self.tokens: list[str] = [match.group() for match in _TOKEN.finditer(text)] + [""]
@@ -215,10 +217,13 @@ class _Parser:
     def _group(self) -> _Group:
         items, links = [self._item()], []
         while self._peek() not in ("", ")"):
-            loose = self._peek() == ","
+            mark = self._peek()
+            loose = mark in (",", ".")
             self.next += loose
             operator = next((one for one in _OPERATORS if one == self._peek()), None)
             self.next += operator is not None
+            if mark == "." and operator is None:
+                raise WordsError("what does the full stop stand for? Put 'and', 'or' or 'then' after it", self.text)
             if not loose and operator is None:
                 raise WordsError(f"'and', 'or', 'then' or a comma is missing before {self._peek()!r}", self.text)
             links.append(_Link(operator, loose))
@@ -262,11 +267,11 @@ class _Parser:
 
     def _goes_on(self) -> bool:
         """Return whether a name can still continue with the next word."""
-        return self.tokens[self.next + 1].lower() not in ("", ",", "(", ")", *_OPERATORS, *_TO)
+        return self.tokens[self.next + 1].lower() not in (*_MARKS, *_OPERATORS, *_TO)
 
     def _name(self, what: str, allowed: Collection[str] | None) -> str:
         words: list[str] = []
-        while self._peek() not in ("", ",", "(", ")", *_OPERATORS) and not (words and self._peek() in _TO):
+        while self._peek() not in (*_MARKS, *_OPERATORS) and not (words and self._peek() in _TO):
             words.append(self.tokens[self.next])
             self.next += 1
         if not words:

@@ -37,6 +37,7 @@ def same(one: str, other: str, letters: str) -> bool:
         ("a, then b, then c", "seq3"),
         ("a or b, then c, then d", "or_seq"),
         ("(a or b) then c then d", "or_seq"),
+        ("Find the a or b. Then c. Then d.", "or_seq"),
     ],
 )
 def test_words_mean_what_the_papers_templates_mean(text, template):
@@ -165,8 +166,11 @@ def test_formulas_pass_unchanged_and_keep_their_errors():
         ("(a and b", r"'\(' is never closed"),
         ("a and b)", r"'\)' closes nothing"),
         ("a (b)", "is missing before"),
-        ("a; b", "unexpected ';'; words, commas and brackets are allowed, and any sign in a name in double quotes"),
-        ("bring a to c. Then b.", r"unexpected '\.'.*; join sentences by 'and' or 'then'"),
+        (
+            "a; b",
+            "unexpected ';'; words, commas, full stops and brackets are allowed, and any sign in a name",
+        ),
+        ("bring a to c. Bring b to c.", "what does the full stop stand for\\? Put 'and', 'or' or 'then' after it"),
         ("a then b then a", r"a comes twice, and a task cannot ask for two of a kind; .* as in 'F \(a & X F a\)'"),
         ('red "c-clamp"', "a name in double quotes stands alone"),
         ('"" then b', "a name cannot be empty"),
