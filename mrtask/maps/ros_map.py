@@ -107,12 +107,12 @@ class _Floor:
     rest: Bools
     """[H, W] other regions large enough to stand on."""
     unknown: Bools
-    """[H, W] cells of ``main`` with the grey for unknown."""
+    """[H, W] free cells with the grey for unknown."""
 
     def kinds(self) -> Ints:
         """Return [H, W] the `CellKind` of each cell."""
         kinds = np.where(self.main, CellKind.FLOOR, CellKind.NOT_FREE)
-        kinds[self.unknown], kinds[self.rest] = CellKind.UNKNOWN_AS_FLOOR, CellKind.LEFT_OUT
+        kinds[self.unknown & self.main], kinds[self.rest] = CellKind.UNKNOWN_AS_FLOOR, CellKind.LEFT_OUT
         return kinds
 
 
@@ -294,7 +294,7 @@ def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
     main = int(np.argmax(sizes))
     large = np.flatnonzero(sizes * cell_m2 >= MIN_REGION_M2)
     left_out = [int(label) for label in large if label != main]
-    floor = _Floor(labels == main, np.isin(labels, left_out), cells.unknown_as_free & (labels == main))
+    floor = _Floor(labels == main, np.isin(labels, left_out), cells.unknown_as_free)
     name, warnings_ = file.path.name, []
     if unknown := int(floor.unknown.sum()):
         warnings_.append(

@@ -44,7 +44,7 @@ MAX_NAME_WORDS = 3
 _QUOTE = '"'
 _QUOTED = re.compile(r'"[^"]*"')
 _TOKEN = re.compile(rf"\w[\w\-]*|[,.()]|{_QUOTED.pattern}")
-_FORMULA = re.compile(rf"[!&|]|->|(?<!\w)({'|'.join(RESERVED_WORDS)})(?!\w)")
+_FORMULA = re.compile(rf"[!&|]|->|(?<!\w)({'|'.join(RESERVED_WORDS)}|[XF]{{2,}})(?!\w)")
 _GLUED_NAME = re.compile(r"([XF]+)([A-Z]\w*)")
 """A name that looks like operators without a space before a name: ``FMug``."""
 

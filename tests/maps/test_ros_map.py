@@ -5,7 +5,7 @@ from PIL import Image
 from shapely.geometry import Polygon
 
 from mrtask.maps.home_map import build_map
-from mrtask.maps.ros_map import MapError, MapWarning, read_map_worlds, read_ros_map, scan_floor
+from mrtask.maps.ros_map import CellKind, MapError, MapWarning, read_map_worlds, read_ros_map, scan_floor
 
 MAP = """image: floor.pgm
 resolution: 0.05
@@ -291,7 +291,11 @@ def test_floor_behind_a_shut_door_is_left_out_and_said(tmp_path):
     in_the_hall = CONTAINERS.replace("position: [-0.5, -1.5]", "position: [2.0, 1.5]")
     scan = scan_floor(*write(tmp_path, shut_door(), containers=in_the_hall))
     assert scan.area_m2 == pytest.approx(((shut_door() == WHITE)[:, 43:]).sum() * 0.05**2)
-    assert scan.summary == f"map.yaml: {scan.area_m2:.1f} m2 of floor, 2 rooms, 3 containers"
+    assert scan.summary == f"map.yaml: {scan.area_m2:.1f} m2 of floor (small), 2 rooms, 3 containers"
+    kinds = {kind: int((scan.cells == kind).sum()) for kind in CellKind}
+    assert kinds[CellKind.FLOOR] * 0.05**2 == pytest.approx(scan.area_m2) and kinds[CellKind.UNKNOWN_AS_FLOOR] == 0
+    assert f"{kinds[CellKind.LEFT_OUT] * 0.05**2:.1f} m2 of free floor in 1 region are left out" in scan.told[1]
+    assert scan.told == (scan.summary, f"warning: {scan.warnings[0]}")
     [warning] = scan.warnings
     assert "7.6 m2 of free floor in 1 region are left out: no way leads there on the scan" in warning
 

@@ -150,6 +150,13 @@ def test_deliveries_name_their_places():
         read_task("bring the pillow and the laptop to the sofa", OBJECTS, ["sofa"])
 
 
+@pytest.mark.parametrize("text", ["XF Pillow", "XF(Pillow)", "FX Pillow"])
+@pytest.mark.parametrize("objects", [None, OBJECTS])
+def test_operators_without_spaces_are_no_objects(text, objects):
+    with pytest.raises(FormulaError, match=rf"did you mean '{text[0]} {text[1]}'"):
+        read_task(text, objects)
+
+
 def test_formulas_pass_unchanged_and_keep_their_errors():
     formula = "(!Pillow U Laptop) & F Pillow"
     assert read_task(formula, OBJECTS).formula == formula

@@ -179,7 +179,9 @@ def _joint_counts(catalogue: Catalogue, first: str, second: str) -> dict[str, in
 
 
 def _place_door(wall: Wall, kind: str, width_m: float, rng: np.random.Generator) -> _Door:
-    low_m = round(float(rng.uniform(DOOR_MARGIN_M, wall.length_m - DOOR_MARGIN_M - width_m)), 3)
+    # On a wall that is just long enough, rounding could put the highest place below the lowest.
+    highest_m = max(wall.length_m - DOOR_MARGIN_M - width_m, DOOR_MARGIN_M)
+    low_m = round(float(rng.uniform(DOOR_MARGIN_M, highest_m)), 3)
     return _Door(wall, f"{kind}_1", low_m, low_m + width_m)
 
 
