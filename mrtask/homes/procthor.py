@@ -361,7 +361,7 @@ def _held_types(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
             raise fail(child_field, _unknown_type(child, assets))
         try:
             check_name(child_type)
-        except ValueError as error:
+        except InputError as error:
             raise fail(f"{child_field}.id", str(error)) from None
         yield child_type
         yield from _held_types(child, assets, fail, child_field)

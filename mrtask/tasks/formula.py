@@ -195,7 +195,8 @@ def check_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names as a tuple, in their order (sets are sorted), if formulas can use them as propositions.
 
     Raises:
-        ValueError: A name is empty, holds a double quote or a control character, or is given twice.
+        InputError: A name is empty, or holds a double quote or a control character.
+        ValueError: A name is given twice.
     """
     if isinstance(names, str):
         raise ValueError(f"object names must be a collection of names, not the one string {names!r}; write [{names!r}]")
@@ -332,7 +333,7 @@ class _Parser:
     def _check_fit(self, name: str, position: int) -> None:
         try:
             check_name(name)
-        except ValueError as error:
+        except InputError as error:
             raise self._error(str(error), position) from None
 
     def _unquoted_name(self, index: int) -> str:

@@ -17,9 +17,9 @@ from itertools import combinations, islice, pairwise, product
 from typing import Literal
 
 from mrtask.errors import InputError
-from mrtask.names import name_to_text
+from mrtask.names import check_name, name_to_text
 from mrtask.tasks.automaton import build_automaton
-from mrtask.tasks.formula import RESERVED_WORDS, check_names, written
+from mrtask.tasks.formula import RESERVED_WORDS, written
 
 MAX_CHARACTERS = 500
 MAX_LEAVES = 10
@@ -287,8 +287,8 @@ class _Parser:
         if allowed is not None and name not in allowed:
             raise self._unknown(what, name, {one: one for one in sorted(allowed)})
         try:
-            return check_names([name])[0]
-        except ValueError as error:
+            return check_name(name)
+        except InputError as error:
             raise WordsError(str(error), self.text) from None
 
     def _known(self, what: str, words: list[str], allowed: Collection[str] | None) -> str:

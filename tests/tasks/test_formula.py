@@ -2,6 +2,7 @@ import pickle
 
 import pytest
 
+from mrtask.errors import InputError
 from mrtask.tasks.formula import (
     MAX_NESTING,
     And,
@@ -151,8 +152,9 @@ def test_proposition_names_are_in_order_of_appearance():
     ],
 )
 def test_names_unfit_for_formulas_are_refused(names, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as refused:
         check_names(names)
+    assert isinstance(refused.value, InputError) == ("Mug" not in message)
 
 
 def test_operators_without_spaces_are_told_where_any_name_is_allowed():
