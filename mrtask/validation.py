@@ -33,6 +33,8 @@ def problem(item: Mapping[str, Any]) -> str:
         return "has no value"
     if item["type"] in _NO_MAPPING:
         return "should hold keys and values"
+    if item["type"] == "path_type":
+        return "should be the path of a file or folder"
     if item["type"] == "extra_forbidden":
         return "no such key"
     if item["type"] in ("float_type", "int_type") and re.fullmatch(r"[-+\d.eE]+", str(item["input"])):
