@@ -45,7 +45,7 @@ SCANNED: Mapping[CellKind, tuple[str, str]] = {
 }
 """The colour and the meaning of each kind of cell of a scan, by the kinds' numbers."""
 TITLE_CHARS = 110
-CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5}
+CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5, "parse_math": False}
 ROOM_NAME_COLOR = "#555b63"
 GALLERY_CELL_IN = 4.0
 
@@ -114,7 +114,8 @@ def draw_scan(scan: ScannedFloor, ax: Axes) -> None:
     ax.legend(
         handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, frameon=False, fontsize=ROOM_FONT_PT
     )
-    ax.set_title("\n".join(fill(text, TITLE_CHARS) for text in scan.told), fontsize=ROOM_FONT_PT, loc="left")
+    title = "\n".join(fill(text, TITLE_CHARS) for text in scan.told)
+    ax.set_title(title, fontsize=ROOM_FONT_PT, loc="left", parse_math=False)
     ax.set_axis_off()
 
 
