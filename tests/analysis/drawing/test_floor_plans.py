@@ -85,7 +85,7 @@ def test_a_scan_is_drawn_as_it_was_read(ax, two_room_home):
     scan = ScannedFloor(two_room_home, 20.0, warnings, Path("c.yaml"), cells, (0.0, 0.0), 0.1)
     draw_scan(scan, ax)
     for x, kind in ((1.0, CellKind.FLOOR), (2.5, CellKind.UNKNOWN_AS_FLOOR), (8.8, 0), (7.5, CellKind.LEFT_OUT)):
-        assert pixel(ax, x, 2.0) == pytest.approx(to_rgb(SCANNED[kind][0]), abs=0.02)
+        assert pixel(ax, x, 2.4) == pytest.approx(to_rgb(SCANNED[kind][0]), abs=0.02)
     assert {text.get_text() for text in ax.get_legend().get_texts()} == {text for _, text in SCANNED.values()}
     assert scan.summary in ax.get_title(loc="left") and "warning: two_room.yaml" in ax.get_title(loc="left")
 
