@@ -14,6 +14,7 @@ Place = tuple[str | int, ...]
 """The keys and list indices that lead to a field."""
 
 _NO_MAPPING = ("model_type", "model_attributes_type", "dataclass_type", "dict_type")
+_NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 _SHOULD_BE = "input should be "
 
 
@@ -37,8 +38,9 @@ def problem(item: Mapping[str, Any]) -> str:
         return "should be the path of a file or folder"
     if item["type"] == "extra_forbidden":
         return "no such key"
-    if item["type"] in ("float_type", "int_type") and re.fullmatch(r"[-+\d.eE]+", str(item["input"])):
-        return f"should be a number, not the text {item['input']!r}; leave its quotes out"
+    given = item["input"]
+    if item["type"] in ("float_type", "int_type") and isinstance(given, str) and _NUMBER.fullmatch(given):
+        return f"should be a number, not the text {given!r}; leave its quotes out"
     text = str(item["msg"]).removeprefix("Value error, ").replace(" after validation", "")
     return text[:1].lower() + text[1:]
 

@@ -151,6 +151,10 @@ def test_a_room_around_another_is_cut_so_that_they_do_not_overlap(tmp_path):
         (MAP + "made: !ros/map x\n", r"line 7: made: could not determine a constructor for the tag '!ros/map'"),
         (MAP + "note: a\x07b\n", r"line 7: is not YAML \(character 7: special characters"),
         ("3", r"^map\.yaml, line 1: should hold keys and values"),
+        (
+            MAP.replace("negate: 0", "negate: 0.5"),
+            r"line 4: negate: input should be a valid boolean or a valid integer",
+        ),
         (MAP.replace("negate: 0", "negate: x"), r"line 4: negate: input should be a valid boolean or a valid integer"),
         (MAP + "note: &a [*a]\n", r"map\.yaml: is nested too deeply, or refers to itself"),
         (MAP + "note: " + "[" * 3000 + "]" * 3000, r"map\.yaml: is nested too deeply, or refers to itself"),
