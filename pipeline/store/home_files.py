@@ -84,7 +84,7 @@ class MapFiles(_Files):
 
     def scans(self) -> tuple[ScannedFloor, ...]:
         """Return the maps as they were read, with what their owners should know; raises `MapError`."""
-        return _scans(self.maps, self.containers)
+        return _scans(self.model_copy(update={"contents": None}))
 
     def faults(self) -> tuple[str, ...]:
         """Return nothing: a faulty map is an error."""
@@ -124,8 +124,8 @@ def _read_maps(source: MapFiles) -> tuple[Home, ...]:
 
 
 @lru_cache(maxsize=4)
-def _scans(maps: tuple[Path, ...], containers: tuple[Path, ...]) -> tuple[ScannedFloor, ...]:
-    return tuple(scan_floor(*paths) for paths in zip(maps, containers, strict=True))
+def _scans(source: MapFiles) -> tuple[ScannedFloor, ...]:
+    return tuple(scan_floor(*paths) for paths in zip(source.maps, source.containers, strict=True))
 
 
 def check_files(key: str, paths: Iterable[Path | None]) -> None:
