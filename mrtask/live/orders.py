@@ -56,14 +56,20 @@ def task_state(live: LiveState) -> m.TaskState:
     """Return the task's progress."""
     team = live.team
     word = tuple(
-        m.Letter(time_s=letter.t_s, robot=live.names[letter.robot], object=letter.object, container=letter.container)
+        m.Letter(
+            time_s=live.stamp_s(letter.t_s),
+            robot=live.names[letter.robot],
+            object=letter.object,
+            container=letter.container,
+        )
         for letter in team.letters
     )
+    time_s = live.stamp_s(team.time_s)
     if team.accepted:
-        return m.TaskState(status="done", time_s=team.time_s, word=word)
+        return m.TaskState(status="done", time_s=time_s, word=word)
     if any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots):
-        return m.TaskState(status="running", time_s=team.time_s, word=word)
-    return m.TaskState(status="stuck", time_s=team.time_s, word=word, reason=_why_stuck(live))
+        return m.TaskState(status="running", time_s=time_s, word=word)
+    return m.TaskState(status="stuck", time_s=time_s, word=word, reason=_why_stuck(live))
 
 
 def welcome(live: LiveState) -> m.Welcome:
