@@ -96,7 +96,7 @@ class Automaton:
         """Return the automaton in Graphviz's language: accepting states have a double line, the sink is grey."""
         lines = [
             "digraph task {",
-            f'  label="{" ".join(self.formula.split())}"; labelloc=t; rankdir=LR;',
+            f"  label={_dot_text(' '.join(self.formula.split()))}; labelloc=t; rankdir=LR;",
             '  start [shape=point, label=""];',
         ]
         for state, accepts in enumerate(self.accepting):
@@ -106,7 +106,7 @@ class Automaton:
         for state, successors in enumerate(self.transitions):
             for successor in dict.fromkeys(successors.tolist()):
                 names = [name for name, to in zip(self.propositions, successors, strict=True) if to == successor]
-                lines.append(f'  {state} -> {successor} [label="{", ".join(names)}"];')
+                lines.append(f"  {state} -> {successor} [label={_dot_text(', '.join(names))}];")
         return "\n".join([*lines, "}"]) + "\n"
 
 
@@ -153,6 +153,12 @@ def build_automaton(
         sink=int(doomed[0]) if len(doomed) else -1,
         initial=0,
     )
+
+
+def _dot_text(text: str) -> str:
+    """Return a text as Graphviz's language quotes it."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 class _TooManyStatesError(Exception):

@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field, ValidationError
 from mrtask.errors import InputError
 from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.planning.planners import PLANNERS
+from mrtask.validation import problem
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -217,7 +218,7 @@ def explain_error(item: Any) -> str:
     elif kind in ("literal_error", "union_tag_invalid"):
         message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
     else:
-        message = item["msg"].removeprefix("Value error, ")
+        message = problem(item)
     return f"{key}={given}: {message}"
 
 

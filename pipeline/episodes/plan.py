@@ -77,7 +77,7 @@ def check(options: Evaluation) -> None:
     if options.formula is not None:
         formula_objects(options.formula)
     if options.task is not None:
-        read_task(options.task, None, ())
+        read_task(options.task, None, (), checked_later=True)
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 

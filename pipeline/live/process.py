@@ -22,7 +22,7 @@ from mrtask.live.live_team import LiveTeam
 from mrtask.live.session import MAX_BYTES, LiveSession
 from mrtask.live.state import LiveSetup
 from mrtask.live.state_file import read_state
-from mrtask.maps.ros_map import read_ros_map
+from mrtask.maps.ros_map import scan_floor
 from pipeline.app.map_task import scenario_files
 from pipeline.app.tool import load_options, overrides
 from pipeline.live.options import TeamOptions
@@ -46,12 +46,17 @@ def read_options(arguments: Sequence[str]) -> TeamOptions:
 
 
 def _live(options: TeamOptions) -> LiveTeam:
-    home = read_ros_map(options.map, options.containers)
+    scan = scan_floor(options.map, options.containers)
+    print("\n".join(scan.told), file=sys.stderr)
+    home = scan.home
     task = task_in(home, options.task, options.objects or None, robots=len(options.team))
     home = with_places(home, task.places)
+    home_map = options.map_of(home)
+    if out_of_reach := home_map.out_of_reach(home):
+        print(f"warning: {out_of_reach}", file=sys.stderr)
     setup = LiveSetup(
         home=home,
-        home_map=options.map_of(home),
+        home_map=home_map,
         text=options.task,
         task=task,
         likelihood=prior(home, task, options.model()),
