@@ -343,7 +343,8 @@ def main() -> None:
     if arguments.others is not None:
         with gzip.open(arguments.others, "wt", encoding="utf-8") as file:
             file.writelines(json.dumps(house) + "\n" for house in others)
-    header = "# Facts on ProcTHOR homes, made by `python tools/derive_catalogue.py`; see the docstring there.\n"
+    schema = f"{len(houses)} homes in ProcTHOR's schema"
+    header = f"# Facts on {schema}, made by `python tools/derive_catalogue.py`; NOTICE names the homes.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     arguments.out.write_text(header + text, encoding="utf-8")
 
