@@ -24,6 +24,7 @@ from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdo
 from mrtask.analysis.report.paper_claims import claims_table, count_verdicts, judge_claims
 from mrtask.analysis.report.planner_table import planner_table
 from mrtask.analysis.report.planner_words import describe_planners, homes_sentence, model_sentence, protocol
+from mrtask.analysis.report.reliability import draw_reliability
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.run_facts import part
 from mrtask.analysis.report.trial_browser import (
@@ -302,6 +303,13 @@ def model_section(data: ReportData) -> Content:
     return _content(
         "model",
         _table("model", title, run_facts.metric_table(data.manifest), "metric"),
+        _picture(
+            "reliability",
+            "How often objects were where the model said, in the homes of this run",
+            "Pairs of a container and an object, by the probability that planners were given before any search. On the "
+            "line, probabilities are right; below it, the model is too sure. Bars are 95 % intervals over homes.",
+            draw_reliability(data.manifest.get("reliability") or ()),
+        ),
         facts=run_facts.model_facts(data.manifest, data.episodes),
         warning=run_facts.model_warning(data.manifest),
     )
