@@ -12,7 +12,7 @@ from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.run_facts import Manifest, part
 from mrtask.analysis.results.episodes import size_classes_in_order
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import RESAMPLES, homes_of
+from mrtask.analysis.results.statistics import RESAMPLES, home_repeats, homes_of
 from mrtask.names import counted, listed
 
 SOFTWARE_TITLE = "mrtask: multi-robot task planning in homes where nobody knows which object lies where"
@@ -132,8 +132,7 @@ def _outcome_sentences(rows: pd.DataFrame) -> list[str]:
 
 def _resampled(rows: pd.DataFrame) -> str:
     homes = homes_of(rows)
-    repeated = 1 < homes.nunique() < len(homes)
-    return f"homes, each with all of its trials ({homes.nunique()} homes)" if repeated else "trials"
+    return f"homes, each with all of its trials ({homes.nunique()} homes)" if home_repeats(homes) else "trials"
 
 
 def _software_sentences(manifest: Manifest) -> list[str]:

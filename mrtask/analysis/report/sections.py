@@ -39,7 +39,7 @@ from mrtask.analysis.report.trial_browser import (
 )
 from mrtask.analysis.report.wins import draw_wins, pair_table
 from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
-from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P, homes_of
+from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P, home_repeats, homes_of
 from mrtask.names import counted
 
 
@@ -344,7 +344,7 @@ def method_section(data: ReportData) -> Content:
         resamples=RESAMPLES,
         trials=len(homes),
         home_count=homes.nunique(),
-        repeated=1 < homes.nunique() < len(homes),
+        repeated=home_repeats(homes),
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
         significant=SIGNIFICANT_P,
         citation=data.published.citation,

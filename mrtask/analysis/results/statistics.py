@@ -425,6 +425,11 @@ def homes_of(episodes: pd.DataFrame) -> pd.Series:
     return trials["home_id"].astype(object).fillna(alone) if "home_id" in trials.columns else alone
 
 
+def home_repeats(homes: pd.Series) -> bool:
+    """Return whether these trials' homes are resampled as groups; not where all are different, or all the same."""
+    return 1 < homes.nunique() < len(homes)
+
+
 def decision_s(rows: pd.DataFrame) -> dict[str, float]:
     """Return each planner's mean planning time per decision, for planners for which it was recorded."""
     if not {"planning_s", "decisions"} <= set(rows.columns):

@@ -1,7 +1,8 @@
 """Measure how true beliefs are: a team's at the beginning of its tasks, and a model's likelihoods in homes.
 
-The measures are log loss, Brier score and calibration. A planner acts on the probability that a container holds an object of the task, given that the object is in the home, as
-every task's object is. This probability is judged. The unit is one pair of container and object.
+The measures are log loss, Brier score and calibration. A planner acts on the probability that a container holds an
+object of the task, given that the object is in the home, as every task's object is. For a team, this probability is
+judged. The unit is one pair of container and object.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -120,7 +121,7 @@ def reliability_in_homes(homes: Sequence[Home], table: LikelihoodTable) -> pd.Da
     records = []
     for belief, of_belief in zip((ALL_OBJECTS, EXISTING), np.moveaxis(counts, 1, 0), strict=True):
         for bin_ in np.moveaxis(of_belief, 1, 0):  # [H, 3]
-            prob, held, pairs = bin_.sum(axis=0)
+            prob, _, pairs = bin_.sum(axis=0)
             if pairs:
                 some = bin_[bin_[:, 2] > 0]
                 share = Bootstrap(some[:, 1:]).estimate(lambda means: np.asarray(means[..., 0] / means[..., 1]))
