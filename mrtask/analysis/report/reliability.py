@@ -9,10 +9,8 @@ from matplotlib.figure import Figure
 
 from mrtask.analysis.page.charts import panels, ticks_as
 from mrtask.analysis.page.style import BLUE, GREY, house_style
-from mrtask.analysis.studies.calibration import ALL_OBJECTS, EXISTING
 
 PANEL_IN = (4.2, 3.6)
-TITLES = {ALL_OBJECTS: "of every object", EXISTING: "of objects in the home, given that they are there"}
 
 
 @house_style()
@@ -21,14 +19,14 @@ def draw_reliability(bins: Sequence[Mapping[str, Any]]) -> Figure | None:
     if not bins:
         return None
     frame = pd.DataFrame(bins).astype({"low": float, "high": float})
-    width_in, height_in = PANEL_IN
-    figure, (line,) = panels(width_in * len(TITLES), height_in, columns=len(TITLES), sharey=True)
-    for axes, (belief, title) in zip(line, TITLES.items(), strict=True):
+    beliefs, (width_in, height_in) = list(frame["belief"].unique()), PANEL_IN
+    figure, (line,) = panels(width_in * len(beliefs), height_in, columns=len(beliefs), sharey=True)
+    for axes, belief in zip(line, beliefs, strict=True):
         shown = frame[frame["belief"] == belief]
         bars = np.clip([shown["frequency"] - shown["low"], shown["high"] - shown["frequency"]], 0, None)
         axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8, zorder=0)
         axes.errorbar(shown["mean_prob"], shown["frequency"], yerr=np.nan_to_num(bars), fmt="o-", color=BLUE, capsize=2)
-        axes.set(title=title, xlabel="probability", xlim=(0, 1), ylim=(0, 1))
+        axes.set(title=belief, xlabel="probability", xlim=(0, 1), ylim=(0, 1))
         ticks_as(axes.xaxis, "{:g}".format)
     ticks_as(line[0].yaxis, "{:g}".format)
     line[0].set_ylabel("was there")

@@ -23,7 +23,7 @@ from mrtask.likelihood.table import LikelihoodTable
 
 LOSSES = ("log_loss", "brier")
 """These losses are per pair, so that their means have intervals. The calibration error is over all pairs together."""
-ALL_OBJECTS, EXISTING = "all objects", "objects in the home"
+ALL_OBJECTS, EXISTING = "all objects", "objects in the home, given that they are there"
 """The likelihoods as predicted; and those that planners act on, of objects in the home, given that they are there."""
 PROB_EDGES = (0.0, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """The bins of `reliability_in_homes`: narrow where nearly all probabilities are, and wide where few decide a search."""
