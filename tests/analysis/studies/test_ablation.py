@@ -65,7 +65,6 @@ def page():
 def test_repeating_trials_in_their_homes_narrows_no_interval(page):
     again = make_page(times=3)
     for heading in (
-        "Improvement over learned_myopic",
         "Points of improvement over learned_myopic",
         "Saved by pouct against each step",
         "Improvement of pouct_paper over learned_myopic",
