@@ -8,7 +8,7 @@ is a function of the planners' mean costs. This makes the resampling a matrix pr
 closed form, so that 100,000 episodes take seconds.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -195,7 +195,7 @@ class Bootstrap:
     """
 
     def __init__(
-        self, costs: Floats, homes: Sequence[Hashable] | None = None, resamples: int = RESAMPLES, seed: int = SEED
+        self, costs: Floats, homes: Iterable[Hashable] | None = None, resamples: int = RESAMPLES, seed: int = SEED
     ) -> None:
         self.costs, self.resamples, self.seed = costs, resamples, seed
         home_of = number_homes(range(len(costs)) if homes is None else homes)
@@ -251,7 +251,7 @@ class Bootstrap:
         return Estimate(value, float(low), float(high), n, self.homes)
 
 
-def number_homes(homes: Sequence[Hashable]) -> Ints:
+def number_homes(homes: Iterable[Hashable]) -> Ints:
     """Return [N] the number of each trial's home, in the order in which they first appear."""
     return np.asarray(pd.factorize(np.asarray(list(homes), dtype=object))[0], dtype=np.int64)
 
@@ -307,7 +307,7 @@ def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
     return np.asarray(ndtr(bias + z / (1 - acceleration * z)), dtype=np.float64)
 
 
-def improvement_percent(cost: Floats, baseline: Floats, homes: Sequence[Hashable] | None = None) -> Estimate:
+def improvement_percent(cost: Floats, baseline: Floats, homes: Iterable[Hashable] | None = None) -> Estimate:
     """Return ``1 - mean(cost) / mean(baseline)`` of paired costs [N] in homes [N], in percent.
 
     It is undefined if the baseline's mean is 0.
@@ -330,7 +330,7 @@ def _gap_closed(means: Floats) -> Floats:
 
 
 def compare(
-    cost: Floats, baseline: Floats, homes: Sequence[Hashable] | None = None, improvement: Estimate | None = None
+    cost: Floats, baseline: Floats, homes: Iterable[Hashable] | None = None, improvement: Estimate | None = None
 ) -> Comparison:
     """Compare paired costs [N] in homes [N]; NaN marks a trial that was not finished.
 
@@ -340,7 +340,7 @@ def compare(
     """
     done, base_done = np.isfinite(cost), np.isfinite(baseline)
     both = done & base_done
-    home_of = number_homes(np.asarray(range(len(cost)) if homes is None else homes, dtype=object)[both])
+    home_of = number_homes(np.asarray(range(len(cost)) if homes is None else list(homes), dtype=object)[both])
     saved = baseline[both] - cost[both]
     sooner, later = saved > SAME_COST_S, saved < -SAME_COST_S
     repeated = 1 < home_of.max(initial=-1) + 1 < len(home_of)
