@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from collections.abc import Iterable
 
 from mrtask.errors import InputError
 
@@ -37,3 +38,9 @@ def name_to_text(name: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun: ``1 robot``, ``2 robots``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return at least one name in a row: ``a, b and c``."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

@@ -12,11 +12,13 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.roles import BASELINES
 from mrtask.analysis.results.statistics import summarise
+from mrtask.analysis.studies.calibration import reliability_in_homes
 from pipeline import report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
@@ -26,6 +28,7 @@ from pipeline.base.config import UserError
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes.plan import EvaluationPlan, check, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
+from pipeline.episodes.worker import Context
 from pipeline.inputs.training import find_record
 from pipeline.store import cache, layout
 from pipeline.store.artifacts import NotMade
@@ -194,6 +197,7 @@ def _manifest(
         homes=plan.homes,
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,
+        reliability=_reliability(plan.context),
         machine=Machine.here(session.pool.slots),
         packages=package_versions(),
         peak_memory_mb=round(float(peaks_mb.max()), 1) if peaks_mb.notna().any() else None,
@@ -202,6 +206,11 @@ def _manifest(
         run_id=run_id,
         sweep=session.cell.text,
     )
+
+
+def _reliability(context: Context) -> tuple[dict[str, Any], ...]:
+    bins = reliability_in_homes(context.homes, context.table)
+    return tuple(bins.astype(object).where(bins.notna(), None).to_dict("records"))
 
 
 STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), compare=report.STAGE)

@@ -139,7 +139,8 @@ def main(arguments: list[str]) -> int:
             episodes = score_planner(request, bar.update)
         recorded = recorded_episodes(suite)
         recorded = recorded[recorded["trial_id"].isin(episodes["trial_id"])]
-        card = render_card(request.planner, request.options, episodes, recorded, suite.name)
+        home_of = {trial.trial_id: trial.home_id for trial in suite.trials}
+        card = render_card(request.planner, request.options, episodes, recorded, suite.name, home_of)
         if len(episodes) < len(suite.trials):
             card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: not a score to quote."
     except (InputError, ValueError) as error:

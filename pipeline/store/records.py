@@ -302,6 +302,10 @@ class EvaluationManifest(Record):
 
     None in manifests of earlier versions."""
     reach: Reach
+    reliability: tuple[JsonObject, ...] = ()
+    """How often objects were where the model said: the bins of `mrtask.analysis.studies.calibration`.
+
+    Empty in manifests of earlier versions."""
     machine: Machine
     packages: Mapping[str, str] = {}
     """The versions of what computed the rows; empty for runs from before they were recorded."""

@@ -119,7 +119,9 @@ def _interval(estimate: Estimate) -> str:
 
 def _trials(estimates: dict[str, Estimate]) -> str:
     counts = sorted({estimate.n for estimate in estimates.values()})
-    return f"{' and '.join(map(str, counts))} paired trial{'s' if counts != [1] else ''}"
+    text = f"{' and '.join(map(str, counts))} paired trial{'s' if counts != [1] else ''}"
+    homes = max(estimate.homes for estimate in estimates.values())
+    return f"{text} in {counted(homes, 'home')}" if homes < counts[-1] else text
 
 
 def _cells_sentence(summary: Summary, planner: str, baseline: str) -> str:
@@ -193,6 +195,7 @@ def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
                 f"{planner_label(baseline)} finished {counted(comparison.only_baseline, 'trial')} that "
                 f"{planner_label(planner)} did not: they are in no comparison, which flatters the latter."
             )
+    warnings += _few_homes(summary, planner)
     pairs = {
         cell: pair.improvement.n
         for baseline in BASELINES
@@ -208,3 +211,14 @@ def _warnings(summary: Summary, planner: str) -> tuple[str, ...]:
             f"and below {MIN_TRIALS_FOR_INTERVAL} trials there are none."
         )
     return tuple(warnings)
+
+
+def _few_homes(summary: Summary, planner: str) -> list[str]:
+    """Warn where there are too few homes to say anything of others."""
+    trials = max((summary.improvement(EVERYTHING, planner, baseline) for baseline in BASELINES), key=lambda one: one.n)
+    if trials.n < MIN_TRIALS_FOR_INTERVAL or trials.homes >= min(trials.n, MIN_TRIALS_FOR_INTERVAL):
+        return []
+    if trials.homes == 1:
+        return ["All trials are in one home: intervals are about tasks in this home and say nothing of other homes."]
+    few = f"The trials are in {trials.homes} homes only"
+    return [f"{few}: intervals resample homes, and below {MIN_TRIALS_FOR_INTERVAL} homes there are none."]

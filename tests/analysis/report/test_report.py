@@ -120,7 +120,7 @@ def test_whole_report(tmp_path, two_room_home):
     text = page.words
     assert "Does the planner pouct beat the baselines, by how much" in text
     assert re.search(
-        r"Yes\. Over 27 paired trials, pouct finishes its tasks \d+\.\d % sooner than learned_myopic", text
+        r"Yes\. Over 27 paired trials in 1 home, pouct finishes its tasks \d+\.\d % sooner than learned_myopic", text
     )
     assert "paper 215.22" in text and "paper 37.12 %" in text
     assert len(page.images) == 8 + 3
