@@ -75,11 +75,17 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
+        session.pool.start()  # an unusable cluster must not cost what is there
         layout.forget_episodes(folder)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
-    identity = _join(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
-    missing = plan.missing(writer.finished())
+    identity = _joined(folder, plan.identity)
+    writer = EpisodeWriter(
+        folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), lambda: identity.write(folder, IDENTITY)
+    )
+    finished = writer.finished()
+    missing = plan.missing(finished)
+    if more := len(finished - plan.identity.row_keys()):
+        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     earlier = EvaluationManifest.find(folder, MANIFEST)
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
@@ -99,15 +105,14 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     console.result(folder / EPISODES, time.monotonic() - began_s)
 
 
-def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
-    """Write and return the identity of a new run, or of the run in the folder grown by what is asked for now.
+def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
+    """Return the identity of a new run, or of the run in the folder grown by what is asked for now.
 
     Raises:
         UserError: the run would change existing rows; the message lists every difference.
     """
     recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
-        identity.write(folder, IDENTITY)
         return identity
     if changed := recorded.conflicts(identity):
         listed = "\n".join(f"  {line}" for line in changed)
@@ -115,13 +120,10 @@ def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
             f"{folder} holds episodes of another configuration:\n{listed}\n"
             "Give another output_dir, or overwrite=true to start anew there"
         )
-    joined, now = recorded.joined(identity), identity.row_keys()
+    joined = recorded.joined(identity)
     if joined is not recorded:
         before, after = len(recorded.row_keys()), len(joined.row_keys())
         console.line(f"the run there grows from {before} to {after} episodes: {identity.asked[0].text}")
-        joined.write(folder, IDENTITY)
-    if more := len(joined.row_keys() - now):
-        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     return joined
 
 
