@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mrtask.execution.episode import EpisodeResult, Plans, as_planner, run_episode
-from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
+from mrtask.execution.trials import Trial, TrialOptions, check_formula, home_order, sample_trial
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
@@ -64,8 +64,11 @@ def run_experiment(
 
     Raises:
         ValueError: a planner is unknown, a plan cannot be carried out, or no home has enough objects.
+        FormulaError: the formula of the options is none of a task, or no home has one of its objects.
     """
     chosen = _planners(planners)
+    if options is not None and options.formula is not None:
+        check_formula(options.formula, homes)
     known = {home.id: home for home in homes}
     table = build_table(likelihood, homes, options.formula_objects if options else ())
     map_of = lru_cache(maxsize=None)(lambda home_id: cached_map(known[home_id], cache_dir))
