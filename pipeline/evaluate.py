@@ -13,10 +13,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+import pandas as pd
+
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.roles import BASELINES
-from mrtask.analysis.results.statistics import summarise
+from mrtask.analysis.results.statistics import EVERYTHING, summarise
 from pipeline import report
 from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
@@ -24,6 +26,7 @@ from pipeline.backends import registry, runs
 from pipeline.base import console
 from pipeline.base.config import UserError
 from pipeline.base.specs import EvaluationSpec
+from pipeline.episodes import outcome
 from pipeline.episodes.plan import EvaluationPlan, check, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
@@ -43,8 +46,15 @@ class EvaluateJob:
     spec: EvaluationSpec
 
     def run(self, session: Session) -> None:
-        """Run the episodes that are missing."""
-        evaluate(prepare(self.spec, session.pool), session)
+        """Run the episodes that are missing, and say what all of them show.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
+        plan = prepare(self.spec, session.pool)
+        episodes = evaluate(plan, session)
+        outcome.say(episodes)
+        outcome.check(episodes, plan.planners)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say how many episodes would run, and for how long, from a short pilot."""
@@ -61,8 +71,11 @@ class EvaluateJob:
             yield from pilot(plan, session.pool)
 
 
-def evaluate(plan: EvaluationPlan, session: Session) -> None:
+def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
     """Run the episodes that the plan's folder lacks as one MLflow run, and leave the evaluation's manifest.
+
+    Returns:
+        All of the folder's episodes, without their traces.
 
     Raises:
         UserError: the run would change rows that the folder holds, or too many episodes fail.
@@ -90,7 +103,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
         console.skipped(folder / EPISODES)
-        return
+        return read_episodes(folder / EPISODES)
     if len(missing) < total:
         console.line(f"{total - len(missing)} episodes are there already")
     session.pool.start()
@@ -100,9 +113,11 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         manifest = _manifest(
             plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
         )
-        runs.log_metrics(run, _metrics(folder / EPISODES))
+        episodes = read_episodes(folder / EPISODES)
+        runs.log_metrics(run, _metrics(episodes))
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
+    return episodes
 
 
 def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
@@ -147,10 +162,19 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
         yield run
 
 
-def _metrics(episodes: Folder) -> dict[str, float]:
-    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals."""
-    summary = summarise(checked_episodes(read_episodes(episodes)))
+def _metrics(episodes: pd.DataFrame) -> dict[str, float]:
+    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals.
+
+    Over all cells together it has what the mean hides: the median saving, and the shares of ties and of later trials.
+    """
+    summary = summarise(checked_episodes(episodes))
     metrics = {}
+    for (cell, planner, other), pair in summary.comparisons.items():
+        if cell == EVERYTHING and other in BASELINES and pair.improvement.n:
+            name = f"{planner_label(planner)}/all"
+            metrics[f"{name}/median_percent_better_than_{other}"] = pair.median_percent
+            metrics[f"{name}/percent_of_trials_equal_to_{other}"] = pair.percent_of_pairs(pair.ties)
+            metrics[f"{name}/percent_of_trials_later_than_{other}"] = pair.percent_of_pairs(pair.losses)
     for cell in summary.cells:
         for planner in summary.planners:
             if (found := summary.planner_cells.get((cell, planner))) is None:

@@ -102,6 +102,14 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
         100 * (1 - means["pouct"] / means["nonlearned_myopic"])
     )
     assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
+    cost_s = pd.read_parquet(workspace.output_dir / "episodes").pivot(
+        index="trial_id", columns="planner", values="cost_s"
+    )
+    saved = 100 * (1 - cost_s["pouct"] / cost_s["nonlearned_myopic"])
+    assert metrics["pouct/all/median_percent_better_than_nonlearned_myopic"] == pytest.approx(saved.median())
+    assert metrics["pouct/all/percent_of_trials_later_than_nonlearned_myopic"] == pytest.approx(
+        100 * (saved < -1e-9).mean()
+    )
     logged = {artifact.path for artifact in client.list_artifacts(of_evaluation, "report")}
     assert {"report/index.html", "report/table.csv", "report/tables", "report/figures"} <= logged
     table = client.load_table(store.experiment_id, "table.json", run_ids=[of_evaluation])
@@ -121,6 +129,7 @@ def test_a_second_run_does_nothing_again(workspace: Workspace, cli: Cli) -> None
     again = cli("reproduce", *workspace.overrides, cwd=workspace.path)
     assert again.code == 0
     assert again.out.count("(unchanged, skipped)") == 5
+    assert "pouct     12/12" in again.out and "pouct's mean time is" in again.out
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
