@@ -92,6 +92,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
         layout.forget_episodes(folder)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
     identity = _joined(folder, plan.identity)
+    champion = _champion(plan)
     writer = EpisodeWriter(
         folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), lambda: identity.write(folder, IDENTITY)
     )
@@ -111,13 +112,29 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
         reach = map_homes(plan.context, session.pool)
         run_episodes(plan, missing, session.pool, writer)
         manifest = _manifest(
-            plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
+            plan,
+            identity,
+            session,
+            champion=champion,
+            reach=reach,
+            started=started,
+            wall_s=time.monotonic() - began_s,
+            run_id=run.run_id,
         )
         episodes = read_episodes(folder / EPISODES)
         runs.log_metrics(run, _metrics(episodes))
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
     return episodes
+
+
+def _champion(plan: EvaluationPlan) -> str | None:
+    """Return the version that is champion, and say so where planners use another."""
+    tracking = runs.open_tracking(plan.spec.tracking.uri, plan.spec.tracking.experiment_name)
+    champion, used = registry.champion_version(tracking), plan.identity.model_version
+    if champion not in (None, used):
+        console.line(f"planners use version {used} of the model; the champion is version {champion}")
+    return champion
 
 
 def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
@@ -196,6 +213,7 @@ def _manifest(
     identity: RunIdentity,
     session: Session,
     *,
+    champion: str | None,
     reach: Reach,
     started: datetime,
     wall_s: float,
@@ -217,6 +235,8 @@ def _manifest(
         code_version=made_by.code_version,
         model=find_record(spec.homes.datasets_dir, spec.tracking.uri, made_by.model_version),
         model_name=registry.MODEL_NAME,
+        champion_version=champion,
+        rivals=plan.rivals,
         homes=plan.homes,
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,

@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import load_catalogue
@@ -39,7 +39,7 @@ from pipeline.base.sections import (
 )
 from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
-from pipeline.base.values import LocalPath, Location, Section, absolute
+from pipeline.base.values import LocalPath, Location, Section, absolute, distinct, listed
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 """The folder with the defaults of all keys."""
@@ -70,6 +70,7 @@ class Config(Section):
     contents: Contents
     model: Model
     trainer: Trainer
+    rivals: Annotated[tuple[ModelKind, ...], BeforeValidator(listed), AfterValidator(distinct)]
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     belief: Belief

@@ -28,7 +28,7 @@ from pipeline.store.folder import Folder
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import IDENTITY
-from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
+from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import Key
 from pipeline.store.version import code_version, source_hash
 
@@ -51,6 +51,8 @@ class EvaluationPlan:
     contents_are_drawn: bool
     """Whether the homes' contents were drawn from the catalogue, so that their true likelihoods are known."""
     spec: EvaluationSpec
+    rivals: tuple[TrainedModelRecord, ...] = ()
+    """The versions that the command trained beside the one that plans."""
 
     @property
     def planners(self) -> tuple[str, ...]:
@@ -80,6 +82,12 @@ def check(options: Evaluation) -> None:
     check_files("evaluation.homes.assets", [options.homes.assets])
 
 
+def check_task_in(options: Evaluation, home_set: HomeSet) -> None:
+    """Refuse a task with an object that none of the homes has, as soon as there are homes."""
+    if options.task is not None or options.formula is not None:
+        task_of(options, home_set.evaluation_homes(options.homes)[1])
+
+
 def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
     """Return the plan of an evaluation; a dry run finds the homes, any other makes them if need be.
 
@@ -92,15 +100,20 @@ def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
     return plan_evaluation(spec, homes.make(spec.homes, None if spec.dry_run else pool), model)
 
 
-def load_model(spec: EvaluationSpec) -> RegisteredModel:
-    """Return the configured model; for a run that is continued, the version that it began with."""
+def load_model(spec: EvaluationSpec, trained: str | None = None) -> RegisteredModel:
+    """Return the configured model.
+
+    In place of the champion it is the version that this command has ``trained``, or for a run that is continued the
+    version that it began with.
+    """
     if runs.is_new(spec.tracking.uri):
         uri, store = spec.options.model_uri, spec.tracking.uri
         raise NotMade(f"no usable model {uri}: there is no store {store} yet; python -m pipeline.train trains one")
-    begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
     uri = spec.options.model_uri
-    if begun is not None and uri == registry.CHAMPION_URI:
-        uri = registry.version_uri(begun.model_version)
+    if uri == registry.CHAMPION_URI:
+        begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
+        version = trained or (begun and begun.model_version)
+        uri = registry.version_uri(version) if version else uri
     tracking = runs.open_tracking(spec.tracking.uri, spec.tracking.experiment_name)
     return registry.load_registered(tracking, uri, spec.maps.cache_dir)
 

@@ -302,6 +302,7 @@ def model_section(data: ReportData) -> Content:
         _table("model", title, run_facts.metric_table(data.manifest), "metric"),
         facts=run_facts.model_facts(data.manifest, data.episodes),
         warning=run_facts.model_warning(data.manifest),
+        rivals=" and ".join(str(rival["kind"]) for rival in data.manifest.get("rivals") or ()),
     )
 
 
