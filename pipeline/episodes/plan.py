@@ -96,8 +96,11 @@ def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
         UserError: the evaluation cannot be run as configured.
     """
     check(spec.options)
+    found = homes.make(spec.homes, None) if spec.dry_run else None
+    if found is not None:
+        check_task_in(spec.options, found)
     model = load_model(spec)
-    return plan_evaluation(spec, homes.make(spec.homes, None if spec.dry_run else pool), model)
+    return plan_evaluation(spec, found or homes.make(spec.homes, pool), model)
 
 
 def load_model(spec: EvaluationSpec, trained: str | None = None) -> RegisteredModel:

@@ -27,13 +27,12 @@ def result_lines(episodes: pd.DataFrame) -> list[str]:
 
 def planner_lines(summary: Summary) -> list[str]:
     """Return a table: each planner's accepted episodes, mean time, and saving over the baselines with its interval."""
-    rows = [dict(_row(summary, planner)) for planner in summary.planners]
-    return pd.DataFrame(rows).to_string(index=False).splitlines()
+    rows = {planner_label(planner): dict(_row(summary, planner)) for planner in summary.planners}
+    return pd.DataFrame.from_dict(rows, orient="index").to_string().splitlines()
 
 
 def _row(summary: Summary, planner: str) -> Iterator[tuple[str, str]]:
     found = summary.planner_cells[EVERYTHING, planner]
-    yield "planner", planner_label(planner)
     yield "accepted", f"{found.accepted}/{found.episodes}"
     yield "mean (s)", f"{found.cost_s:.2f}" if found.accepted else NOTHING
     for baseline in (name for name in BASELINES if name in summary.planners):

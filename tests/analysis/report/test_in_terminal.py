@@ -14,7 +14,7 @@ def test_each_planner_has_a_line_and_the_headline_what_it_hides():
     costs = {"nonlearned_myopic": [20.0] * 12, "learned_myopic": [10.0] * 12, "pouct": [5.0] * 6 + [10.0] * 6}
     lines = lines_of(rows("small", 1, costs))
     assert lines[:3] == [
-        "planner accepted mean (s) saves of nonlearned_myopic (%) saves of learned_myopic (%)",
+        "accepted mean (s) saves of nonlearned_myopic (%) saves of learned_myopic (%)",
         "nonlearned_myopic 12/12 20.00 \N{EN DASH} -100.0 [-100.0, -100.0]",
         "learned_myopic 12/12 10.00 50.0 [50.0, 50.0] \N{EN DASH}",
     ]
