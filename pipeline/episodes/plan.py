@@ -115,8 +115,8 @@ def load_model(spec: EvaluationSpec, trained: str | None = None) -> RegisteredMo
     uri = spec.options.model_uri
     if uri == registry.CHAMPION_URI:
         begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
-        version = trained or (begun and begun.model_version)
-        uri = registry.version_uri(version) if version else uri
+        version = begun.model_version if trained is None and begun is not None else trained
+        uri = uri if version is None else registry.version_uri(version)
     tracking = runs.open_tracking(spec.tracking.uri, spec.tracking.experiment_name)
     return registry.load_registered(tracking, uri, spec.maps.cache_dir)
 
