@@ -103,6 +103,7 @@ def test_the_better_of_the_models_that_one_command_trained_plans(
         return replace(wanted, model=Frequency(kind="frequency", smoothing=5000.0))
 
     monkeypatch.setattr(training, "rival", coarse)  # a network would take a minute
+    monkeypatch.setattr("pipeline.episodes.runner.PILOT_S", 0.1)
     store = f"tracking.uri=sqlite:///{tmp_path}/rivals.db"
     common = [*workspace.overrides, *FEW, store, "rivals=[mlp]"]
     done = cli("reproduce", *common, "output_dir=outputs/rivals", cwd=workspace.path)
