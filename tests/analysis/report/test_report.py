@@ -19,10 +19,10 @@ from mrtask.analysis.report import sections
 from mrtask.analysis.report.report_page import render_report, trials_to_draw, write_report
 from mrtask.analysis.report.run_facts import (
     beats_frequency,
-    metric_table,
-    model_facts,
     failure_table,
     homes_facts,
+    metric_table,
+    model_facts,
     run_facts,
 )
 from mrtask.analysis.report.sections import Section
