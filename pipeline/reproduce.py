@@ -11,6 +11,7 @@ from typing import TypeVar
 from pipeline import evaluate, report
 from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
+from pipeline.backends import registry
 from pipeline.base import console
 from pipeline.base.config import Config
 from pipeline.base.specs import TrainingSpec
@@ -60,8 +61,9 @@ class ReproduceJob:
             check_task_in(spec.options, home_set)
             labelled = timed("dataset", lambda: rows.build(home_set, spec.homes.datasets_dir, pool))
             trained = timed("train", lambda: [training.train(labelled, one) for one in trainings])
-        best = training.choose(trained)
-        plan = plan_evaluation(spec, home_set, load_model(spec, best.model_version))
+        asked_for = spec.options.model_uri != registry.CHAMPION_URI
+        model = load_model(spec, None if asked_for else training.choose(trained).model_version)
+        plan = plan_evaluation(spec, home_set, model)
         plan = replace(plan, rivals=tuple(one for one in trained if one.model_version != plan.identity.model_version))
         timed("evaluate", lambda: evaluate.evaluate(plan, session))
         folder = Folder(spec.output_dir)
