@@ -3,8 +3,24 @@
 import re
 import unicodedata
 
+from mrtask.errors import InputError
+
 _WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
 _SEPARATORS = re.compile(r"[\s_\-]+")
+_UNFIT = re.compile(r'["\x00-\x1f\x7f-\x9f\ud800-\udfff]')
+
+
+def check_name(name: str) -> str:
+    """Return the name of an object or a container.
+
+    Raises:
+        InputError: the name is empty, or it has a double quote or a control character, which nothing can quote.
+    """
+    if not name.strip():
+        raise InputError("a name cannot be empty")
+    if unfit := _UNFIT.search(name):
+        raise InputError(f"the name {name!r} holds {unfit[0]!r}; names have no double quotes and control characters")
+    return name
 
 
 def name_to_text(name: str) -> str:

@@ -24,6 +24,8 @@ from shapely.geometry import Polygon as ShapelyPolygon
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, AssetDatabase, Size, load_catalogue
 from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, Room
+from mrtask.names import check_name
+from mrtask.validation import dotted, first_problem
 
 MAX_COORDINATE_M = 1000.0
 MAX_EXTENT_M = 100.0
@@ -133,7 +135,7 @@ def load_asset_types(path: Path | str) -> AssetDatabase:
             try:
                 asset = _Asset.model_validate(entry)
             except ValidationError as error:
-                raise _first_error(error, path.name, None, prefix=f"{object_type}[{index}]") from None
+                raise _first_error(error, entry, path.name, None, prefix=f"{object_type}[{index}]") from None
             box = asset.boundingBox
             assets[asset.assetId] = Asset(object_type, Size(box.x, box.y, box.z))
     return assets
@@ -173,7 +175,7 @@ def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: 
     try:
         house = _House.model_validate(raw)
     except ValidationError as error:
-        raise _first_error(error, source, number) from None
+        raise _first_error(error, raw, source, number) from None
     except RecursionError:
         raise HouseError(source, number, "objects", "children are nested too deeply") from None
 
@@ -341,6 +343,11 @@ def _find_asset(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
 
 
 def _unknown_type(item: _Child, assets: AssetDatabase | None) -> str:
+    if "|" not in item.id:
+        return (
+            f"'{item.id}' is no id of ProcTHOR's houses (Type|room|n, or room|n with an asset database); houses in "
+            "other formats, such as Holodeck's, cannot be read"
+        )
     if assets is None:
         return f"'{item.id}' names no type; give the asset database that has its assetId '{item.assetId}'"
     return f"'{item.id}' names no type and its assetId '{item.assetId}' is not in the asset database"
@@ -352,6 +359,10 @@ def _held_types(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
         child_type = _object_type(child, assets)
         if child_type is None:
             raise fail(child_field, _unknown_type(child, assets))
+        try:
+            check_name(child_type)
+        except InputError as error:
+            raise fail(f"{child_field}.id", str(error)) from None
         yield child_type
         yield from _held_types(child, assets, fail, child_field)
 
@@ -399,10 +410,8 @@ def _parse_json(text: str, source: str, number: int | None) -> object:
         raise HouseError(source, number, "", f"is not JSON ({error})") from None
 
 
-def _first_error(error: ValidationError, source: str, number: int | None, prefix: str = "") -> HouseError:
+def _first_error(error: ValidationError, raw: object, source: str, number: int | None, prefix: str = "") -> HouseError:
     """Return the first error of pydantic, with its place written as ``objects[3].position.x``."""
-    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    path = prefix
-    for part in first["loc"]:
-        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
-    return HouseError(source, number, path, first["msg"][:1].lower() + first["msg"][1:])
+    place, problem = first_problem(error, raw)
+    field = dotted(place)
+    return HouseError(source, number, f"{prefix}.{field}".strip(".") if prefix else field, problem)

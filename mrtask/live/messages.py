@@ -4,7 +4,7 @@ The messages are easy to map to what fleets speak. An order is one action of one
 a VDA 5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's
 NavigateToPose: SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the
 previous one. Every event has an ``id`` that the sender chose and the time at which it happened, in seconds on one clock
-for all.
+for all, such as ROS or Unix time.
 
 Fields that a message is not known to have are ignored, and later versions only add optional ones, so that clients and
 live teams of different age understand each other.
@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 PROTOCOL_VERSION = 2
 MAX_NAME = 200
 MAX_LISTED = 1000
-MAX_TIME_S = 1e9
+MAX_TIME_S = 1e11
+"""Room for Unix time in seconds; one in milliseconds is a mistake."""
 MAX_METRES = 1e6
 
 Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
@@ -171,6 +172,8 @@ class Hello(Message):
     type: Literal["hello"]
     version: int = PROTOCOL_VERSION
     token: str | None = Field(default=None, max_length=MAX_NAME)
+    client: Name | None = None
+    """The client's name, the same after a break: then ids need to be unique among its own events only."""
 
 
 _Incoming = _Events | Batch | Hello
@@ -211,6 +214,8 @@ class Order(Message):
     route: tuple[tuple[float, float], ...] = ()
     """Turning points in metres, from where the robot is taken to be to where it is to stop."""
     length_m: float = 0.0
+    heading_rad: float | None = None
+    """Where to look at the end of the route, so as to face the container; 0 is along the map's x axis."""
 
 
 class Letter(Message):

@@ -1,15 +1,19 @@
 """What a live team says: its orders, the task's progress, and the setup."""
 
+from math import atan2, dist
 from typing import Any
 
 import numpy as np
+from shapely import Polygon
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.robot import Robot
+from mrtask.homes.home import Point
 from mrtask.live import messages as m
 from mrtask.live.state import LiveState
 
 _NAVIGATE, _SEARCH, _INTERACT, _WAIT = "navigate", "search", "interact", "wait"
+MIN_FACING_M = 0.01
 _ACTIONS = {
     ActKind.MOVE: _NAVIGATE,
     ActKind.SEARCH: _SEARCH,
@@ -42,7 +46,16 @@ def order_of(live: LiveState, number: int) -> m.Order:
         object=live.setup.task.propositions[obj] if obj >= 0 else None,
         route=route,
         length_m=length_m,
+        heading_rad=_heading_rad(live, target, route[-1]) if route else None,
     )
+
+
+def _heading_rad(live: LiveState, container: int, point: Point) -> float | None:
+    """Return the direction from a place to the middle of a container; None in the middle itself."""
+    middle = Polygon(live.setup.home.containers[container].footprint).centroid
+    if dist(point, (middle.x, middle.y)) < MIN_FACING_M:
+        return None
+    return atan2(middle.y - point[1], middle.x - point[0])
 
 
 def doing(live: LiveState, robot: Robot) -> str:
@@ -56,14 +69,20 @@ def task_state(live: LiveState) -> m.TaskState:
     """Return the task's progress."""
     team = live.team
     word = tuple(
-        m.Letter(time_s=letter.t_s, robot=live.names[letter.robot], object=letter.object, container=letter.container)
+        m.Letter(
+            time_s=live.stamp_s(letter.t_s),
+            robot=live.names[letter.robot],
+            object=letter.object,
+            container=letter.container,
+        )
         for letter in team.letters
     )
+    time_s = live.stamp_s(team.time_s)
     if team.accepted:
-        return m.TaskState(status="done", time_s=team.time_s, word=word)
+        return m.TaskState(status="done", time_s=time_s, word=word)
     if any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots):
-        return m.TaskState(status="running", time_s=team.time_s, word=word)
-    return m.TaskState(status="stuck", time_s=team.time_s, word=word, reason=_why_stuck(live))
+        return m.TaskState(status="running", time_s=time_s, word=word)
+    return m.TaskState(status="stuck", time_s=time_s, word=word, reason=_why_stuck(live))
 
 
 def welcome(live: LiveState) -> m.Welcome:

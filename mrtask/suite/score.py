@@ -64,7 +64,10 @@ class Request:
         for name, value in counts.items():
             if not value.isdecimal() or int(value) < 1:
                 raise InputError(f"{name}={value}: must be a whole number, at least 1")
-        options = yaml.safe_load(values.get("options", "{}"))
+        try:
+            options = yaml.safe_load(values.get("options", "{}"))
+        except yaml.YAMLError:
+            options = None
         if not isinstance(options, dict):
             raise InputError(f"options={values['options']}: must be names and values, as options='{{samples: 1000}}'")
         out = Path(values["out"]) if "out" in values else None

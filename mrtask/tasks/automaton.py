@@ -96,7 +96,7 @@ class Automaton:
         """Return the automaton in Graphviz's language: accepting states have a double line, the sink is grey."""
         lines = [
             "digraph task {",
-            f'  label="{" ".join(self.formula.split())}"; labelloc=t; rankdir=LR;',
+            f"  label={_dot_text(' '.join(self.formula.split()))}; labelloc=t; rankdir=LR;",
             '  start [shape=point, label=""];',
         ]
         for state, accepts in enumerate(self.accepting):
@@ -106,7 +106,7 @@ class Automaton:
         for state, successors in enumerate(self.transitions):
             for successor in dict.fromkeys(successors.tolist()):
                 names = [name for name, to in zip(self.propositions, successors, strict=True) if to == successor]
-                lines.append(f'  {state} -> {successor} [label="{", ".join(names)}"];')
+                lines.append(f"  {state} -> {successor} [label={_dot_text(', '.join(names))}];")
         return "\n".join([*lines, "}"]) + "\n"
 
 
@@ -173,6 +173,12 @@ def check_task(automaton: Automaton) -> Automaton:
             "this task is done before anything is done; say what to interact with, as in 'F a'", automaton.formula, 1
         )
     return automaton
+
+
+def _dot_text(text: str) -> str:
+    """Return a text as Graphviz's language quotes it."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 class _TooManyStatesError(Exception):

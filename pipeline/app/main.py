@@ -29,6 +29,10 @@ from pipeline.base import interrupt
 from pipeline.base.config import CONF_DIR
 from pipeline.base.sections import Cluster
 
+_QUOTED_FOR_HYDRA = re.compile(r"""'.*'|"[^"]*"(,"[^"]*")*""")
+"""What already has Hydra's quotes. Double ones may also begin a formula, around the name of an object."""
+_COMMA = re.compile(r',(?=(?:[^"]*"[^"]*")*[^"]*$)')
+"""A comma with an even number of double quotes after it: it stands outside of them."""
 FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
 
 
@@ -106,12 +110,16 @@ def _for_hydra(argument: str) -> str:
         return "dry_run=true"
     key, equals, text = argument.partition("=")
     name = key.lstrip("+")
-    if name not in (FORMULA_KEY, TASK_KEY) or not equals or text == "null" or text.startswith(("'", '"')):
+    if name not in (FORMULA_KEY, TASK_KEY) or not equals or text == "null" or _QUOTED_FOR_HYDRA.fullmatch(text):
         return argument
-    if name == TASK_KEY:
-        return f"{key}='{text.strip()}'"
-    # In a formula, unlike in words, a comma can only separate the values of a sweep.
-    return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
+    # In a formula, unlike in words, a comma outside of a name in quotes can only separate the values of a sweep.
+    values = [text] if name == TASK_KEY else _COMMA.split(text)
+    return f"{key}=" + ",".join(_quoted(value.strip()) for value in values)
+
+
+def _quoted(value: str) -> str:
+    escaped = value.replace("'", r"\'")
+    return f"'{escaped}'"
 
 
 def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:

@@ -21,6 +21,7 @@ from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.planning.planners import PLANNERS
 from mrtask.tasks.automaton import build_automaton, check_task
 from mrtask.tasks.formula import parse
+from mrtask.validation import problem
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -233,7 +234,7 @@ def explain_error(item: Any) -> str:
     elif kind in ("literal_error", "union_tag_invalid"):
         message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
     else:
-        message = item["msg"].removeprefix("Value error, ")
+        message = problem(item)
     return f"{key}={given}: {message}"
 
 

@@ -77,7 +77,7 @@ class EvaluationPlan:
 def check(options: Evaluation) -> None:
     """Refuse, before any work, a task in words that is none and files that do not exist."""
     if options.task is not None:
-        read_task(options.task, None, ())
+        read_task(options.task, None, (), checked_later=True)
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
 

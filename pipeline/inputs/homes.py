@@ -173,11 +173,9 @@ def _read_maps(options: RosMapHomes) -> MapFiles:
     maps = MapFiles(maps=options.map, containers=options.containers, worlds=options.worlds, seed=options.seed)
     worlds = maps.read()
     layouts = distinct_layouts(worlds)
-    sizes = ", ".join(
-        f"{home.source} ({home.size_class}, {home.area_m2:.0f} m2, {len(home.containers)} containers)"
-        for home in layouts
-    )
-    console.headline("maps", sizes)
+    console.headline("maps", ", ".join(scan.home.source for scan in maps.scans()))
+    for scan in maps.scans():
+        console.text("\n".join(scan.told))
     console.line(f"{len(worlds)} worlds to evaluate on" if len(worlds) > len(layouts) else "contents as listed")
     return maps
 

@@ -150,6 +150,7 @@ def test_what_is_wrong_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         (["pouct", "speed=3"], "speed: no such key; allowed: options, suite, workers, trials_per_cell, out"),
         (["pouct", "workers=0"], "workers=0: must be a whole number, at least 1"),
         (["pouct", "options=[1]"], r"options=\[1\]: must be names and values"),
+        (["pouct", "options={a: ["], r"options=\{a: \[: must be names and values"),
     ):
         with pytest.raises(InputError, match=said):
             Request.parse(given)

@@ -281,8 +281,8 @@ def test_bad_formulas_and_names_are_refused():
         build_automaton("F a & F b", ["a"])
     with pytest.raises(FormulaError, match="not co-safe"):
         build_automaton("F a & G b")
-    with pytest.raises(ValueError, match="object name 'Spray Bottle' cannot be written in a formula"):
-        build_automaton("F a", ["a", "Spray Bottle"])
+    with pytest.raises(ValueError, match=r"the name 'Spray.Bottle' holds"):
+        build_automaton("F a", ["a", 'Spray"Bottle'])
     with pytest.raises(ValueError, match="no proposition 'd' in this task; it has: a, b"):
         build_automaton("F a & F b").run(["a", "d"])
 
@@ -307,6 +307,12 @@ def test_dot_shows_states_kinds_and_letters():
         '  3 -> 3 [label="Pen, Mug, Cup"];\n'
         "}\n"
     )
+
+
+def test_dot_quotes_what_a_name_may_hold():
+    name = "c-clamp \\d"
+    dot = build_automaton(f'F "{name}"').to_dot()
+    assert 'label="F \\"c-clamp \\\\d\\""' in dot and '0 -> 1 [label="c-clamp \\\\d"]' in dot
 
 
 def test_travels_to_other_processes():
