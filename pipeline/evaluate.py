@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+import pandas as pd
+
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.roles import BASELINES
-from mrtask.analysis.results.statistics import summarise
+from mrtask.analysis.results.statistics import EVERYTHING, summarise
 from mrtask.analysis.studies.calibration import reliability_in_homes
 from pipeline import report
 from pipeline.app.main import main
@@ -26,6 +28,7 @@ from pipeline.backends import registry, runs
 from pipeline.base import console
 from pipeline.base.config import UserError
 from pipeline.base.specs import EvaluationSpec
+from pipeline.episodes import outcome
 from pipeline.episodes.plan import EvaluationPlan, check, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.episodes.worker import Context
@@ -46,8 +49,15 @@ class EvaluateJob:
     spec: EvaluationSpec
 
     def run(self, session: Session) -> None:
-        """Run the episodes that are missing."""
-        evaluate(prepare(self.spec, session.pool), session)
+        """Run the episodes that are missing, and say what all of them show.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
+        plan = prepare(self.spec, session.pool)
+        episodes = evaluate(plan, session)
+        outcome.say(episodes)
+        outcome.check(episodes, plan.planners)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say how many episodes would run, and for how long, from a short pilot."""
@@ -64,8 +74,11 @@ class EvaluateJob:
             yield from pilot(plan, session.pool)
 
 
-def evaluate(plan: EvaluationPlan, session: Session) -> None:
+def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
     """Run the episodes that the plan's folder lacks as one MLflow run, and leave the evaluation's manifest.
+
+    Returns:
+        All of the folder's episodes, without their traces.
 
     Raises:
         UserError: the run would change rows that the folder holds, or too many episodes fail.
@@ -78,16 +91,23 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
+        session.pool.start()  # an unusable cluster must not cost what is there
         layout.forget_episodes(folder)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
-    identity = _join(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
-    missing = plan.missing(writer.finished())
+    identity = _joined(folder, plan.identity)
+    champion = _champion(plan)
+    writer = EpisodeWriter(
+        folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), lambda: identity.write(folder, IDENTITY)
+    )
+    finished = writer.finished()
+    missing = plan.missing(finished)
+    if more := len(finished - plan.identity.row_keys()):
+        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     earlier = EvaluationManifest.find(folder, MANIFEST)
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
         console.skipped(folder / EPISODES)
-        return
+        return read_episodes(folder / EPISODES)
     if len(missing) < total:
         console.line(f"{total - len(missing)} episodes are there already")
     session.pool.start()
@@ -95,22 +115,39 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         reach = map_homes(plan.context, session.pool)
         run_episodes(plan, missing, session.pool, writer)
         manifest = _manifest(
-            plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
+            plan,
+            identity,
+            session,
+            champion=champion,
+            reach=reach,
+            started=started,
+            wall_s=time.monotonic() - began_s,
+            run_id=run.run_id,
         )
-        runs.log_metrics(run, _metrics(folder / EPISODES))
+        episodes = read_episodes(folder / EPISODES)
+        runs.log_metrics(run, _metrics(episodes))
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
+    return episodes
 
 
-def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
-    """Write and return the identity of a new run, or of the run in the folder grown by what is asked for now.
+def _champion(plan: EvaluationPlan) -> str | None:
+    """Return the version that is champion, and say so where planners use another."""
+    tracking = runs.open_tracking(plan.spec.tracking.uri, plan.spec.tracking.experiment_name)
+    champion, used = registry.champion_version(tracking), plan.identity.model_version
+    if champion not in (None, used):
+        console.line(f"planners use version {used} of the model; the champion is version {champion}")
+    return champion
+
+
+def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
+    """Return the identity of a new run, or of the run in the folder grown by what is asked for now.
 
     Raises:
         UserError: the run would change existing rows; the message lists every difference.
     """
     recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
-        identity.write(folder, IDENTITY)
         return identity
     if changed := recorded.conflicts(identity):
         listed = "\n".join(f"  {line}" for line in changed)
@@ -118,13 +155,10 @@ def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
             f"{folder} holds episodes of another configuration:\n{listed}\n"
             "Give another output_dir, or overwrite=true to start anew there"
         )
-    joined, now = recorded.joined(identity), identity.row_keys()
+    joined = recorded.joined(identity)
     if joined is not recorded:
         before, after = len(recorded.row_keys()), len(joined.row_keys())
         console.line(f"the run there grows from {before} to {after} episodes: {identity.asked[0].text}")
-        joined.write(folder, IDENTITY)
-    if more := len(joined.row_keys() - now):
-        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     return joined
 
 
@@ -148,10 +182,19 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
         yield run
 
 
-def _metrics(episodes: Folder) -> dict[str, float]:
-    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals."""
-    summary = summarise(checked_episodes(read_episodes(episodes)))
+def _metrics(episodes: pd.DataFrame) -> dict[str, float]:
+    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals.
+
+    Over all cells together it has what the mean hides: the median saving, and the shares of ties and of later trials.
+    """
+    summary = summarise(checked_episodes(episodes))
     metrics = {}
+    for (cell, planner, other), pair in summary.comparisons.items():
+        if cell == EVERYTHING and other in BASELINES and pair.improvement.n:
+            name = f"{planner_label(planner)}/all"
+            metrics[f"{name}/median_percent_better_than_{other}"] = pair.median_percent
+            metrics[f"{name}/percent_of_trials_equal_to_{other}"] = pair.percent_of_pairs(pair.ties)
+            metrics[f"{name}/percent_of_trials_later_than_{other}"] = pair.percent_of_pairs(pair.losses)
     for cell in summary.cells:
         for planner in summary.planners:
             if (found := summary.planner_cells.get((cell, planner))) is None:
@@ -173,6 +216,7 @@ def _manifest(
     identity: RunIdentity,
     session: Session,
     *,
+    champion: str | None,
     reach: Reach,
     started: datetime,
     wall_s: float,
@@ -194,6 +238,8 @@ def _manifest(
         code_version=made_by.code_version,
         model=find_record(spec.homes.datasets_dir, spec.tracking.uri, made_by.model_version),
         model_name=registry.MODEL_NAME,
+        champion_version=champion,
+        rivals=plan.rivals,
         homes=plan.homes,
         true_likelihoods="drawn" if plan.contents_are_drawn else "counted",
         reach=reach,

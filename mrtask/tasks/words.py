@@ -18,7 +18,7 @@ from typing import Literal
 
 from mrtask.errors import InputError
 from mrtask.names import check_name, name_to_text
-from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.automaton import build_automaton, check_task
 from mrtask.tasks.formula import RESERVED_WORDS, written
 
 MAX_CHARACTERS = 500
@@ -148,11 +148,11 @@ def read_task(
         checked_later: with ``objects`` None, do not even refuse those, since the text is read again with the names.
 
     Raises:
-        FormulaError: the text is a formula with a mistake.
+        FormulaError: the text is a formula with a mistake, cannot be done, or is done before anything is.
         WordsError: the text is not a task in words, has an unknown name, or has more than one meaning.
     """
     if _FORMULA.search(_QUOTED.sub("", text)):
-        automaton = build_automaton(text)
+        automaton = check_task(build_automaton(text))
         if objects is None and not checked_later:
             _refuse_glued_operators(text, automaton.propositions)
         allowed = None if objects is None else {*objects, *(places or ())}

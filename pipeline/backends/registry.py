@@ -142,6 +142,18 @@ def is_registered(tracking: Tracking, version: str) -> bool:
     return True
 
 
+def champion_version(tracking: Tracking) -> str | None:
+    """Return the version that is champion; None where there is none."""
+    mlflow.set_tracking_uri(tracking.uri)
+    try:
+        aliases = mlflow.MlflowClient().get_registered_model(MODEL_NAME).aliases
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
+        return None
+    return str(aliases[CHAMPION_ALIAS]) if CHAMPION_ALIAS in aliases else None
+
+
 def version_uri(version: str) -> str:
     """Return the URI of a version of our model."""
     return f"models:/{MODEL_NAME}/{version}"

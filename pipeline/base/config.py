@@ -13,11 +13,14 @@ from typing import Annotated, Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from mrtask.errors import InputError
+from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.planning.planners import PLANNERS
+from mrtask.tasks.automaton import build_automaton, check_task
+from mrtask.tasks.formula import parse
 from mrtask.validation import problem
 from pipeline.base.sections import (
     HOME_SOURCES,
@@ -37,7 +40,7 @@ from pipeline.base.sections import (
 )
 from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
-from pipeline.base.values import LocalPath, Location, Section, absolute
+from pipeline.base.values import LocalPath, Location, Section, absolute, distinct, listed
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 """The folder with the defaults of all keys."""
@@ -68,6 +71,7 @@ class Config(Section):
     contents: Contents
     model: Model
     trainer: Trainer
+    rivals: Annotated[tuple[ModelKind, ...], BeforeValidator(listed), AfterValidator(distinct)]
     planner: dict[str, dict[str, Any]]
     planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
     belief: Belief
@@ -142,6 +146,7 @@ def load(composed: DictConfig) -> Config:
     except ValidationError as error:
         raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
+    _check_formula(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
             "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
@@ -169,6 +174,17 @@ def _read_formula(plain: Any) -> None:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
     options["formula_file"] = None
+
+
+def _check_formula(config: Config) -> None:
+    """Refuse a formula that is no task; its objects, as far as they can be known before the homes are made."""
+    formula, homes = config.evaluation.formula, config.homes
+    if formula is None:
+        return
+    check_task(build_automaton(formula))
+    if homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files:
+        kinds = [kind for containers in load_catalogue().objects.values() for kind in containers.values()]
+        parse(formula, {name for kind in kinds for name in kind["likelihoods"]})
 
 
 def _check_planners(config: Config) -> None:

@@ -296,6 +296,10 @@ class EvaluationManifest(Record):
     model: TrainedModelRecord | None
     """None for a model that was trained elsewhere."""
     model_name: str
+    champion_version: str | None = None
+    """The version that was champion meanwhile; None where there was none, and in manifests of earlier versions."""
+    rivals: tuple[TrainedModelRecord, ...] = ()
+    """The versions that the same command trained, and that did not plan."""
     homes: EvaluatedHomes
     true_likelihoods: Literal["drawn", "counted"] | None = None
     """Whether the true likelihoods are those by which the homes' contents were drawn, or the counts of these homes.
@@ -320,14 +324,16 @@ class EvaluationManifest(Record):
 
     def facts(self, stages: "StageTimes | None" = None) -> dict[str, Any]:
         """Return what the report shows, as plain data by the names that `mrtask.analysis.report.run_facts` knows."""
-        nested = {"version", "model", "model_name", "homes", "reach"}
+        nested = {"version", "model", "model_name", "champion_version", "rivals", "homes", "reach"}
         homes = self.homes.model_dump(mode="json") | {
             "training": self.model.training_homes if self.model else None,
             "containers": self.reach.containers,
             "reachable_share": self.reach.share,
         }
         facts = self.model_dump(mode="json", exclude=nested) | {
-            "model": self.model.facts() if self.model else {"name": self.model_name, "version": self.model_version},
+            "model": (self.model.facts() if self.model else {"name": self.model_name, "version": self.model_version})
+            | {"champion_version": self.champion_version},
+            "rivals": [rival.facts() for rival in self.rivals],
             "homes": homes,
         }
         return facts | ({"stages": dict(stages.seconds)} if stages else {})

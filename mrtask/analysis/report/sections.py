@@ -312,6 +312,7 @@ def model_section(data: ReportData) -> Content:
         ),
         facts=run_facts.model_facts(data.manifest, data.episodes),
         warning=run_facts.model_warning(data.manifest),
+        rivals=" and ".join(str(rival["kind"]) for rival in data.manifest.get("rivals") or ()),
     )
 
 

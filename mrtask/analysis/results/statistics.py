@@ -95,6 +95,8 @@ class Comparison:
 
     improvement: Estimate
     """``1 - mean(planner) / mean(baseline)``, in percent: positive is better."""
+    median_percent: float
+    """The median over the trials of what each saves of the baseline's cost, in percent; NaN without pairs."""
     wins: int
     ties: int
     losses: int
@@ -111,6 +113,10 @@ class Comparison:
     """The number of trials that only this one of the two finished; they are outside the comparison."""
     by_home: ByHome | None = None
     """None where no home repeats."""
+
+    def percent_of_pairs(self, count: int) -> float:
+        """Return a number of trials in percent of those that both finished."""
+        return 100 * count / self.improvement.n
 
     @property
     def ties_decide(self) -> bool:
@@ -347,6 +353,7 @@ def compare(
     tested = np.bincount(home_of, saved) / np.bincount(home_of) if repeated else saved
     return Comparison(
         improvement=improvement or improvement_percent(cost[both], baseline[both], home_of),
+        median_percent=_median_percent(saved, baseline[both]),
         wins=int(sooner.sum()),
         ties=int((~sooner & ~later).sum()),
         losses=int(later.sum()),
@@ -367,6 +374,14 @@ def _by_home(sooner: Bools, later: Bools, home_of: Ints) -> ByHome:
         won=int((balance > 0).sum()),
         lost=int((balance < 0).sum()),
     )
+
+
+def _median_percent(saved: Floats, baseline: Floats) -> float:
+    """Return the median of ``saved / baseline`` in percent; where both cost nothing, nothing is saved."""
+    if not len(saved):
+        return float("nan")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.median(np.where(np.abs(saved) <= SAME_COST_S, 0.0, 100 * saved / baseline)))
 
 
 def _wilcoxon(saved: Floats, ties: bool = True) -> float:

@@ -160,3 +160,19 @@ def test_tests_configure_as_hydra_does() -> None:
     assert configured(*overrides) == load(composed_by_hydra(overrides))
     with pytest.raises(OmegaConfBaseException):
         configured("evaluation.robot=1")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind", "rivals"),
+    [
+        ((), "similarity", ("paper_fcnn",)),
+        (("model=mlp",), "mlp", ()),
+        (("model=similarity",), "similarity", ()),
+        (("experiment=smoke",), "similarity", ()),
+        (("experiment=paper_full",), "paper_fcnn", ()),
+        (("model=mlp", "rivals=[frequency]"), "mlp", ("frequency",)),
+    ],
+)
+def test_only_the_default_model_has_a_rival(overrides: tuple[str, ...], kind: str, rivals: tuple[str, ...]) -> None:
+    config = configured(*overrides)
+    assert (config.model.kind, config.rivals) == (kind, rivals)
