@@ -1,7 +1,9 @@
 """Put names and numbers into words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
 
+import difflib
 import re
 import unicodedata
+from collections.abc import Iterable
 
 _WORD_BOUNDARY = re.compile(r"(?<=[^\W_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][^\W\d_A-Z])")
 _SEPARATORS = re.compile(r"[\s_\-]+")
@@ -21,3 +23,10 @@ def name_to_text(name: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun: ``1 robot``, ``2 robots``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def suggest(word: str, allowed: Iterable[str]) -> str:
+    """Return a hint for a wrong word: the nearest allowed one, if one is near, and all that are allowed."""
+    words = list(allowed)
+    near = difflib.get_close_matches(word, words, n=1)
+    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(words)}"

@@ -6,6 +6,11 @@ configuration that would change existing rows is refused (overwrite=true starts 
 would take.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.evaluate")
+
 import contextlib
 import math
 import time
@@ -18,13 +23,13 @@ from mrtask.analysis.results.episodes import checked_episodes
 from mrtask.analysis.results.roles import BASELINES
 from mrtask.analysis.results.statistics import summarise
 from pipeline import report
-from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import UserError
+from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
-from pipeline.episodes.plan import EvaluationPlan, check, prepare
+from pipeline.episodes import plan as plans
+from pipeline.episodes.plan import EvaluationPlan, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
 from pipeline.store import cache, layout
@@ -49,7 +54,6 @@ class EvaluateJob:
     def outline(self, session: Session) -> Iterator[str]:
         """Say how many episodes would run, and for how long, from a short pilot."""
         options = self.spec.options
-        check(options)
         trials = options.trials_per_cell * len(options.size_classes) * len(options.robots)
         planners = len(self.spec.planners)
         yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
@@ -204,7 +208,10 @@ def _manifest(
     )
 
 
-STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), compare=report.STAGE)
+def check(config: Config) -> None:
+    """Refuse a task that is none, homes that are not there, and a store that cannot be used."""
+    plans.check(config.evaluation)
+    runs.check_store(config)
 
-if __name__ == "__main__":
-    main("pipeline.evaluate")
+
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)

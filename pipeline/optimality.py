@@ -4,6 +4,11 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.bounds.assess
 ``<output_dir>/optimality.csv``, which pipeline.report shows. Run again, it computes only the trials that are missing.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.optimality")
+
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +18,7 @@ import pandas as pd
 
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.statistics import Estimate, cell_name
-from pipeline.app.main import main
+from pipeline import evaluate
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import ItemError, Pool
 from pipeline.base import console
@@ -138,7 +143,6 @@ def _percent(estimate: Estimate) -> str:
     return f"{estimate.value:.1f} %{interval}"
 
 
-STAGE = Stage(lambda config: OptimalityJob(config.evaluation_spec(config.optimality.planners), config.optimality))
-
-if __name__ == "__main__":
-    main("pipeline.optimality")
+STAGE = Stage(
+    lambda config: OptimalityJob(config.evaluation_spec(config.optimality.planners), config.optimality), evaluate.check
+)

@@ -5,6 +5,11 @@ Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every f
 On the output_dir of a sweep it compares the sweep's cells.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.report")
+
 import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping
@@ -20,7 +25,6 @@ from mrtask.analysis.report.search_curves import BUDGET
 from mrtask.analysis.results.published import load_published
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import runs
 from pipeline.base import console
@@ -225,7 +229,4 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking))
-
-if __name__ == "__main__":
-    main("pipeline.report")
+STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking), runs.check_store)

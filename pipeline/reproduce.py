@@ -3,23 +3,26 @@
 experiment=paper (default) is the paper's; experiment=smoke the same in small.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.reproduce")
+
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from pipeline import evaluate, report
-from pipeline.app.main import main
+from pipeline import evaluate, report, train
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Config
 from pipeline.episodes.kernels import compiled_meanwhile
-from pipeline.episodes.plan import check, load_model, plan_evaluation
+from pipeline.episodes.plan import load_model, plan_evaluation
 from pipeline.inputs import homes, rows, training
 from pipeline.store.folder import Folder
 from pipeline.store.layout import REPORT_INDEX, STAGES
 from pipeline.store.records import StageTimes
-from pipeline.train import TrainJob
 
 Result = TypeVar("Result")
 
@@ -28,7 +31,7 @@ Result = TypeVar("Result")
 class ReproduceJob:
     """A training and an evaluation of what it trained."""
 
-    train: TrainJob
+    train: train.TrainJob
     evaluate: evaluate.EvaluateJob
 
     def run(self, session: Session) -> None:
@@ -43,8 +46,6 @@ class ReproduceJob:
             return result
 
         spec, pool = self.evaluate.spec, session.pool
-        check(spec.options)
-        training.check(self.train.training)
         with compiled_meanwhile(spec.planners):
             home_set = timed("homes", lambda: homes.make(spec.homes, pool))
             labelled = timed("dataset", lambda: rows.build(home_set, spec.homes.datasets_dir, pool))
@@ -68,11 +69,14 @@ class ReproduceJob:
 
 def job(config: Config) -> ReproduceJob:
     """Return the configured experiment."""
-    train = TrainJob(config.homes_spec, config.training_spec)
-    return ReproduceJob(train, evaluate.EvaluateJob(config.evaluation_spec()))
+    training_job = train.TrainJob(config.homes_spec, config.training_spec)
+    return ReproduceJob(training_job, evaluate.EvaluateJob(config.evaluation_spec()))
 
 
-STAGE = Stage(job, compare=report.STAGE)
+def check(config: Config) -> None:
+    """Refuse what training or evaluation would refuse."""
+    train.check(config)
+    evaluate.check(config)
 
-if __name__ == "__main__":
-    main("pipeline.reproduce")
+
+STAGE = Stage(job, check, compare=report.STAGE)

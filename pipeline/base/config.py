@@ -4,10 +4,9 @@ Hydra composes ``conf/`` and the command line; `load` turns the result into froz
 starts. Only ``conf/`` holds defaults. The sections are in `pipeline.base.sections` and `pipeline.base.studies`.
 """
 
-import difflib
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -16,8 +15,9 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.likelihood.choice import LikelihoodChoice
-from mrtask.planning.planners import PLANNERS
+from mrtask.likelihood.options import LikelihoodChoice
+from mrtask.names import suggest
+from mrtask.planning.planners import PLANNERS, check_planner_name
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -171,23 +171,26 @@ def _read_formula(plain: Any) -> None:
 
 
 def _check_planners(config: Config) -> None:
+    named = {f"planner_variants.{name}": (name,) for name in config.planner_variants}
+    named |= {"evaluation.planners": config.evaluation.planners, "optimality.planners": config.optimality.planners}
+    specs = [(key, config.spec(name)) for key, names in named.items() for name in names]
+    for key, spec in specs:  # of all, before a compiled search is imported
+        _refuse(key, check_planner_name, spec.planner)
     for name in config.planner_variants:
         if name in PLANNERS:
             raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
-        _check_planner(f"planner_variants.{name}", config.spec(name))
-    for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", config.spec(name))
-    for name in config.optimality.planners:
-        _check_planner("optimality.planners", config.spec(name))
+    for key, spec in specs:
+        _refuse(key, spec.make)
     behind = [config.spec(name).planner for name in config.evaluation.planners]
     own = {planner.rsplit(".", 1)[-1] for planner in behind if "." in planner}
     for name in config.planner.keys() - own:
-        _check_planner("planner", PlannerSpec(name, name, config.planner[name]))
+        _refuse("planner", PlannerSpec(name, name, config.planner[name]).make)
 
 
-def _check_planner(key: str, spec: PlannerSpec) -> None:
+def _refuse(key: str, check: Callable[..., object], *arguments: object) -> None:
+    """Run a check of what a key says; raises `UserError` with the key's name where it fails."""
     try:
-        spec.make()
+        check(*arguments)
     except ValueError as error:
         raise UserError(f"{key}: {error}") from error
 
@@ -239,12 +242,6 @@ def _suggest_keys(path: list[str]) -> str:
 def explain_unknown_key(key: str) -> str:
     """Return what to say about a key that the configuration does not have."""
     return f"{key}: no such key; {_suggest_keys(key.split('.'))}"
-
-
-def suggest(word: str, allowed: list[str]) -> str:
-    """Return a hint: the nearest allowed word, if one is near, and all allowed words."""
-    near = difflib.get_close_matches(word, allowed, n=1)
-    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(allowed)}"
 
 
 def content_hash(content: object) -> str:

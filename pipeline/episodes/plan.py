@@ -9,8 +9,8 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
 from mrtask.tasks.words import read_task
