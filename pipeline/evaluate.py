@@ -12,16 +12,16 @@ if __name__ == "__main__":
     main("pipeline.evaluate")
 
 import contextlib
-import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from mrtask.analysis.page.style import planner_label
+import pandas as pd
+
 from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.roles import BASELINES
 from mrtask.analysis.results.statistics import summarise
+from mrtask.names import counted
 from pipeline import report
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
@@ -29,6 +29,7 @@ from pipeline.base import console
 from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes import plan as plans
+from pipeline.episodes.metrics import headline_of, metrics_of
 from pipeline.episodes.plan import EvaluationPlan, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
@@ -56,7 +57,7 @@ class EvaluateJob:
         options = self.spec.options
         trials = options.trials_per_cell * len(options.size_classes) * len(options.robots)
         planners = len(self.spec.planners)
-        yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
+        yield f"would run {product(trials, planners)}"
         try:
             plan = prepare(self.spec, session.pool)
         except NotMade as missing:
@@ -74,8 +75,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     spec, total, planners = plan.spec, len(plan.keys), len(plan.planners)
     console.headline(
         "evaluate",
-        f"{total // planners} trials x {planners} planners = {total} episodes, "
-        f"model version {plan.identity.model_version}",
+        f"{product(total // planners, planners)}, model version {plan.identity.model_version}",
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
@@ -90,7 +90,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         console.skipped(folder / EPISODES)
         return
     if len(missing) < total:
-        console.line(f"{total - len(missing)} episodes are there already")
+        console.line(f"there already: {counted(total - len(missing), 'episode')}")
     session.pool.start()
     with _tracked(plan, folder, session.cell) as run:
         reach = map_homes(plan.context, session.pool)
@@ -98,9 +98,15 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         manifest = _manifest(
             plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
         )
-        runs.log_metrics(run, _metrics(folder / EPISODES))
+        _conclude(run, folder / EPISODES)
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
+
+
+def product(trials: int, planners: int) -> str:
+    """Return ``9 trials x 1 planner = 9 episodes``."""
+    episodes = counted(trials * planners, "episode")
+    return f"{counted(trials, 'trial')} x {counted(planners, 'planner')} = {episodes}"
 
 
 def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
@@ -139,34 +145,27 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
         "model_version": plan.identity.model_version,
         "output_dir": folder.location,
         "code_version": plan.context.provenance.code_version,
-        "sweep": cell.text,
+        runs.SWEEP: cell.text,
     }
     if (earlier := folder.read(RUN_ID)) is not None:
         runs.end_abandoned(tracking, earlier.decode())
-    name = cell.title or f"evaluate {plan.spec.experiment}"
+    name = cell.title or runs.name_of(plan.spec.output_dir)
     with runs.run(tracking, name, params, tags, cell.parent_run_id) as run:
         folder.write(RUN_ID, run.run_id.encode())
+        homes = pd.DataFrame(
+            [(home.id, home.size_class, len(home.containers)) for home in plan.context.homes],
+            columns=["home_id", "size_class", "containers"],
+        )
+        model_id = registry.logged_model_id(tracking, plan.identity.model_version)
+        runs.log_evaluated(run, homes, plan.homes.source, plan.identity.evaluated_homes, model_id)
         yield run
 
 
-def _metrics(episodes: Folder) -> dict[str, float]:
-    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals."""
+def _conclude(run: runs.Run, episodes: Folder) -> None:
+    """Log the evaluation's metrics, and its headline as the run's description."""
     summary = summarise(checked_episodes(read_episodes(episodes)))
-    metrics = {}
-    for cell in summary.cells:
-        for planner in summary.planners:
-            if (found := summary.planner_cells.get((cell, planner))) is None:
-                continue
-            name = f"{planner_label(planner)}/{cell[0]}_{cell[1]}"
-            metrics[f"{name}/accepted"] = found.accepted / found.episodes
-            estimates = {"cost_cells": found.cost_cells} | {
-                f"percent_better_than_{baseline}": summary.improvement(cell, planner, baseline)
-                for baseline in BASELINES
-            }
-            for what, estimate in estimates.items():
-                values = {"": estimate.value, "_low": estimate.low, "_high": estimate.high}
-                metrics |= {f"{name}/{what}{end}": value for end, value in values.items() if math.isfinite(value)}
-    return metrics
+    runs.log_metrics(run, metrics_of(summary))
+    runs.describe(run, headline_of(summary))
 
 
 def _manifest(

@@ -18,6 +18,7 @@ import pandas as pd
 
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.statistics import Estimate, cell_name
+from mrtask.names import counted
 from pipeline import evaluate
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import ItemError, Pool
@@ -59,7 +60,7 @@ class Work:
     def text(self) -> str:
         """``90 trials, each in 100 worlds, model version 1``."""
         version = self.context.provenance.model_version
-        return f"{len(self.keys)} trials, each in {self.worlds} worlds, model version {version}"
+        return f"{counted(len(self.keys), 'trial')}, each in {self.worlds} worlds, model version {version}"
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class OptimalityJob:
         try:
             work = self._work(session.pool)
         except NotMade as missing:
-            yield f"would assess {self.options.trials_per_cell} trials a cell; {missing}"
+            yield f"would assess {counted(self.options.trials_per_cell, 'trial')} a cell; {missing}"
         else:
             yield f"would assess {work.text}; {len(work.finished)} are done"
 

@@ -25,6 +25,7 @@ from mrtask.analysis.report.search_curves import BUDGET
 from mrtask.analysis.results.published import load_published
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
+from mrtask.names import counted
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import runs
 from pipeline.base import console
@@ -106,7 +107,7 @@ class ReportJob:
         """
         began_s = time.monotonic()
         collected = collect(self.folder)
-        console.headline("report", f"{len(collected.episodes)} episodes")
+        console.headline("report", counted(len(collected.episodes), "episode"))
         if _is_current(collected, self.folder):
             console.skipped(self.target / REPORT_INDEX)
             return
@@ -132,7 +133,7 @@ class ReportJob:
         """Say on how many episodes the report would be."""
         collected = collect(self.folder)
         what = "is up to date" if _is_current(collected, self.folder) else "would be written"
-        yield f"the report on {len(collected.episodes)} episodes {what}: {self.target / REPORT_INDEX}"
+        yield f"the report on {counted(len(collected.episodes), 'episode')} {what}: {self.target / REPORT_INDEX}"
 
 
 def _is_current(collected: Collected, folder: Folder) -> bool:

@@ -26,6 +26,7 @@ from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
 from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import key_seed
 from mrtask.maps.ros_map import read_map_worlds
+from mrtask.names import counted
 from mrtask.planning.planners import Role, make_planner, planner_role, planners_in_order
 from mrtask.tasks.automaton import build_automaton
 from pipeline.app.map_task import ScenarioOptions, scenario_files
@@ -58,7 +59,7 @@ def run(arguments: Sequence[str]) -> None:
     console.headline("scenario", f"{trial.trial_id}: {options.task}")
     console.line(f"formula {trial.formula}")
     console.line(
-        f"{len(home.containers)} containers, {home.area_m2:.0f} m2, {options.robots} robots from "
+        f"{counted(len(home.containers), 'container')}, {home.area_m2:.0f} m2, {counted(options.robots, 'robot')} from "
         "({:.1f}, {:.1f})".format(*scenario.home_map.cell_center(trial.start_cell))
     )
     console.text("\n".join(likelihoods(scenario)))
@@ -69,7 +70,7 @@ def run(arguments: Sequence[str]) -> None:
     }
     console.text("\n".join(table(results, _published(options.published))))
     if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
-        console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
+        console.line(f"over {counted(len(worlds), 'world')} drawn from these likelihoods")
         in_worlds = [replace(scenario, home=world) for world in worlds]
         means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
         console.text("\n".join(table(means, None)))

@@ -142,6 +142,18 @@ def is_registered(tracking: Tracking, version: str) -> bool:
     return True
 
 
+def logged_model_id(tracking: Tracking, version: str) -> str | None:
+    """Return MLflow's id of the model behind a version; None for a model that was not registered."""
+    mlflow.set_tracking_uri(tracking.uri)
+    try:
+        found = mlflow.MlflowClient().get_model_version(MODEL_NAME, version)
+    except MlflowException as error:
+        if error.error_code not in ("RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE"):
+            raise
+        return None
+    return str(found.model_id) if found.model_id else None
+
+
 def version_uri(version: str) -> str:
     """Return the URI of a version of our model."""
     return f"models:/{MODEL_NAME}/{version}"

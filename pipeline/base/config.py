@@ -36,7 +36,7 @@ from pipeline.base.sections import (
 )
 from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
-from pipeline.base.values import LocalPath, Location, Section, absolute
+from pipeline.base.values import LocalPath, Location, Section, absolute, spelled
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 """The folder with the defaults of all keys."""
@@ -68,7 +68,7 @@ class Config(Section):
     model: Model
     trainer: Trainer
     planner: dict[str, dict[str, Any]]
-    planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
+    planner_variants: dict[Annotated[str, spelled(r"[\w:-]+", "names of letters, digits, _, - and :")], PlannerVariant]
     belief: Belief
     likelihood: Likelihood
     perception: Perception

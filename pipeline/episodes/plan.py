@@ -13,6 +13,7 @@ from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
+from mrtask.names import counted
 from mrtask.tasks.words import read_task
 from pipeline.backends import registry, runs
 from pipeline.backends.pool import Pool
@@ -187,7 +188,9 @@ def _unseen_homes(
         say_faults(read_from)
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
-        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
+        console.line(
+            f"{counted(len(found) - len(unseen), 'evaluation home')} left out: the model has seen them in training"
+        )
     return unseen, EvaluatedHomes(
         source="procthor" if options.files else set_source,
         files=read_from.paths,

@@ -19,17 +19,19 @@ from dataclasses import dataclass
 from functools import partial
 from math import atan2, cos, sin
 from time import monotonic
-from typing import Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.app.tool import load_options, main, overrides
 from pipeline.base.config import CONF_DIR, UserError
+from pipeline.base.values import spelled
 from pipeline.live.client import Message, SocketClient
 
 NAVIGATE_TYPE = "nav2_msgs/action/NavigateToPose"
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CONNECT_WITHIN_S = 10.0
+WEBSOCKETS = "ws://HOST:PORT or wss://HOST:PORT"
 VERBATIM = ("token",)
 
 
@@ -38,14 +40,14 @@ class RosOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    live: str = Field(pattern="^wss?://")
+    live: Annotated[str, spelled("wss?://.+", WEBSOCKETS)]
     token: str | None
-    rosbridge: str = Field(pattern="^wss?://")
+    rosbridge: Annotated[str, spelled("wss?://.+", WEBSOCKETS)]
     robots: dict[str, str] = Field(min_length=1)
     navigate: str = Field(min_length=1)
     detections: str = Field(min_length=1)
     pose: str = Field(min_length=1)
-    detections_type: str = Field(pattern=r"^vision_msgs/msg/Detection[23]DArray$")
+    detections_type: Literal["vision_msgs/msg/Detection2DArray", "vision_msgs/msg/Detection3DArray"]
     frame: str = Field(min_length=1)
     search_time_s: float = Field(ge=0)
     interact_time_s: float = Field(ge=0)

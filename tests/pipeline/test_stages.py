@@ -148,7 +148,7 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
     part.unlink()
     pq.write_table(pa.Table.from_pandas(kept, SCHEMA, preserve_index=False), part.with_name("part-kept.parquet"))
     done = cli("evaluate", *workspace.overrides, f"output_dir={copied_output}", cwd=workspace.path)
-    assert done.code == 0 and f"{len(kept)} episodes are there already" in done.out
+    assert done.code == 0 and f"there already: {len(kept)} episodes" in done.out
     pd.testing.assert_frame_equal(episodes(copied_output), whole)
     assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
 
@@ -182,7 +182,7 @@ def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     )
     assert done.code == 0
     assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
-    assert "faulty homes left out: 1; the first: others.jsonl.gz, home 0" in done.out
+    assert "faulty homes left out: 1; the first: others.jsonl.gz, line 1" in done.out
     assert evaluation_manifest(workspace.path / "outputs/others").homes.skipped == 1
 
 
@@ -277,7 +277,7 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     for name, said in [
         ("gone.jsonl", ["no such file", "gone.jsonl"]),
         ("cut.jsonl.gz", ["cut.jsonl.gz"]),
-        ("bare.jsonl", ["bare.jsonl, home 0", "no container"]),
+        ("bare.jsonl", ["bare.jsonl, line 1", "no container"]),
         ("other.jsonl", ["other.jsonl, home 0", "rooms"]),
         ("text.jsonl", ["text.jsonl, home 0"]),
     ]:
