@@ -61,6 +61,8 @@ class Stage:
     def start(self, config: Config, session: Session) -> None:
         """Check, then run the stage, or with ``dry_run=true`` say what it would do."""
         self.check(config)
+        for name in config.idle_variants:
+            console.line(f"planner_variants.{name} does not run: evaluation.planners does not list it")
         job = self.job(config)
         if config.dry_run:
             console.headline("dry run", "nothing is written")

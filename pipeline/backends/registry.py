@@ -100,6 +100,7 @@ def register_model(run: Run, trained: TrainedModel, dataset: Dataset) -> Registr
         ).version
         promoted, reason = _challenge(run.tracking, trained, dataset)
         client.set_model_version_tag(MODEL_NAME, version, "promotion", reason)
+        client.update_model_version(MODEL_NAME, version, description=f"{trained.model.kind}: {reason}")
         if promoted:
             client.set_registered_model_alias(MODEL_NAME, CHAMPION_ALIAS, version)
     return Registration(str(version), promoted, reason)

@@ -46,6 +46,8 @@ class UserError(InputError):
     """A mistake in the configuration, or in what it points to."""
 
 
+LONGEST_SHOWN = 80
+"""How many characters of a wrong value a message repeats."""
 UNIONS = {"homes": HOME_SOURCES, "model": get_args(ModelKind)}
 """Sections whose keys depend on their kind, with the kinds."""
 
@@ -104,6 +106,12 @@ class Config(Section):
     def training_spec(self) -> TrainingSpec:
         """Which model to train."""
         return TrainingSpec(self.model, self.trainer, self.seed, self.tracking, self.datasets_dir, self.cache_dir)
+
+    @property
+    def idle_variants(self) -> tuple[str, ...]:
+        """The variants that are among no stage's planners, so that nothing runs them."""
+        named = {*self.evaluation.planners, *self.optimality.planners}
+        return tuple(name for name in self.planner_variants if name not in named)
 
     def evaluation_spec(self, planners: Sequence[str] | None = None) -> EvaluationSpec:
         """Return what to evaluate: the configured planners, or these."""
@@ -221,7 +229,13 @@ def explain_error(item: Any) -> str:
         message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
     else:
         message = item["msg"].removeprefix("Value error, ")
-    return f"{key}={given}: {message}"
+    # A section that contradicts itself is not repeated: its message names the keys.
+    return f"{key}: {message}" if isinstance(given, dict) else f"{key}={_in_short(given)}: {message}"
+
+
+def _in_short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _suggest_keys(path: list[str]) -> str:
