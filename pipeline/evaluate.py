@@ -19,8 +19,6 @@ from datetime import UTC, datetime
 
 import pandas as pd
 
-from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.statistics import summarise
 from mrtask.names import counted
 from pipeline import report
 from pipeline.app.stage import Cell, Session, Stage
@@ -29,7 +27,6 @@ from pipeline.base import console
 from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes import plan as plans
-from pipeline.episodes.metrics import headline_of, metrics_of
 from pipeline.episodes.plan import EvaluationPlan, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.inputs.training import find_record
@@ -163,6 +160,11 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
 
 def _conclude(run: runs.Run, episodes: Folder) -> None:
     """Log the evaluation's metrics, and its headline as the run's description."""
+    # These import what draws; where every episode is there already, they are not needed.
+    from mrtask.analysis.results.episodes import checked_episodes
+    from mrtask.analysis.results.statistics import summarise
+    from pipeline.episodes.metrics import headline_of, metrics_of
+
     summary = summarise(checked_episodes(read_episodes(episodes)))
     runs.log_metrics(run, metrics_of(summary))
     runs.describe(run, headline_of(summary))

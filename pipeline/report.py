@@ -15,13 +15,12 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from mrtask.analysis.report.real_world import APARTMENTS, scenario_name, simulated_trial
-from mrtask.analysis.report.report_page import TrialsToDraw, render_report, trials_to_draw, write_report
-from mrtask.analysis.report.search_curves import BUDGET
+from mrtask.analysis.results.episodes import BUDGET
 from mrtask.analysis.results.published import load_published
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
@@ -48,6 +47,9 @@ from pipeline.store.layout import (
 from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, RunIdentity, StageTimes
 from pipeline.store.rows import read_csv, read_episodes, read_traces
 from pipeline.store.version import source_hash
+
+if TYPE_CHECKING:
+    from mrtask.analysis.report.report_page import TrialsToDraw
 
 TABLE_ARTIFACT = "table.json"
 """In MLflow, whose page on several runs shows it side by side."""
@@ -78,7 +80,7 @@ class Collected:
         optimality = None if self.optimality is None else self.optimality.to_csv(index=False)
         return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis")]))
 
-    def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
+    def with_traces(self, wanted: "TrialsToDraw") -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
         keys = [name for name in ("sweep", "trial_id", "planner") if name in self.episodes.columns]
         traces = [
@@ -213,6 +215,9 @@ def _apartments(folder: Folder) -> dict[str, dict[str, Any]]:
 
 def _render(collected: Collected, target: Path) -> pd.DataFrame:
     """Write the report's files, draw the most telling episodes, and return the table for machines."""
+    # Drawing takes seconds to import; a report that is up to date draws nothing.
+    from mrtask.analysis.report.report_page import render_report, trials_to_draw, write_report
+
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)

@@ -28,7 +28,6 @@ from mlflow.environment_variables import MLFLOW_HTTP_REQUEST_MAX_RETRIES, MLFLOW
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
-from mrtask.analysis.studies.training_figures import loss_curves, reliability_plot
 from mrtask.likelihood.dataset import CARD_FILE, MANIFEST_FILE, Dataset
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.metrics import evaluate_by, reliability
@@ -326,6 +325,8 @@ def describe(run: Run, text: str) -> None:
 
 def log_training(run: Run, trained: TrainedModel, dataset: Dataset) -> None:
     """Keep loss curves, the reliability plot and the metrics per object and container type on the test homes."""
+    from mrtask.analysis.studies.training_figures import loss_curves, reliability_plot  # what draws imports slowly
+
     test, client = dataset.triples("test"), mlflow.MlflowClient()
     if trained.history:
         table = score(FrequencyModel(dataset.triples("train")), dataset.triples("validation"))
