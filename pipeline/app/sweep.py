@@ -10,7 +10,7 @@ import re
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -44,8 +44,8 @@ class Sweep:
     """The sweep under way."""
 
     swept: frozenset[str]
-    configs: Sequence[Config]
-    """Of all cells; their output folder is that of the whole sweep."""
+    cells: Mapping[str, Config]
+    """Each cell's values of the swept keys, with its configuration; the output folder is that of the whole sweep."""
     overrides: Sequence[str] = ()
     """The command line's."""
     compare: Callable[[], None] | None = None
@@ -55,13 +55,18 @@ class Sweep:
     record: "SweepRecord | None" = None
     """Where MLflow keeps the sweep; begun before the first cell starts."""
 
+    @property
+    def whole(self) -> Config:
+        """The configuration of what concerns all cells."""
+        return next(iter(self.cells.values()))
+
     def run_cell(self, stage: Stage, config: Config, overrides: Sequence[str], pool: Pool) -> None:
         """Run the stage in the cell's own output folder; note a user's mistake, so that the other cells still run."""
         if self.started == 0:
             self._begin(stage)
         self.started += 1
         text = _text(overrides, self.swept)
-        console.headline(f"cell {self.started}/{len(self.configs)}", text)
+        console.headline(f"cell {self.started}/{len(self.cells)}", text)
         cell = Cell(text, _without_groups(text, self.swept), self.record and self.record.run_id)
         try:
             own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
@@ -74,7 +79,7 @@ class Sweep:
         else:
             if stage.compare is not None and not config.dry_run:
                 whole = Session(pool, Cell(parent_run_id=cell.parent_run_id))
-                self.compare = partial(stage.compare.start, self.configs[0], whole)
+                self.compare = partial(stage.compare.start, self.whole, whole)
 
     def _begin(self, stage: Stage) -> None:
         """Check what the stage can check of every cell, and begin the sweep in MLflow.
@@ -83,22 +88,22 @@ class Sweep:
             UserError: a cell is wrong; the message says what is wrong with each.
         """
         problems = []
-        for config in self.configs:
+        for text, config in self.cells.items():
             try:
                 stage.check(config)
             except InputError as error:
-                problems.append(str(error))
+                problems.append(f"cell {text}: {error}")
         if problems:
             raise UserError("\n".join([REFUSAL, *dict.fromkeys(problems)]))
-        if not self.configs[0].dry_run:
-            self.record = _record(self.configs[0], self.overrides)
+        if not self.whole.dry_run:
+            self.record = _record(self.whole, self.overrides)
 
     def end(self) -> None:
         """Compare the cells, and say which failed."""
         if self.compare is not None:
             self.compare()
         if self.failed:
-            headline = f"{len(self.failed)} of {counted(len(self.configs), 'cell')} failed:"
+            headline = f"{len(self.failed)} of {counted(len(self.cells), 'cell')} failed:"
             sys.exit(refuse("\n".join([headline, *self.failed])))
         if self.record is not None:
             self.record.end(None)
@@ -167,18 +172,18 @@ def _open(overrides: list[str]) -> Sweep:
     parsed = OverridesParser.create(config_loader=loader).parse_overrides(overrides)
     swept = frozenset(one.get_key_element() for one in parsed if one.is_sweep_override())
     [batch] = BasicSweeper.split_arguments(parsed, max_batch_size=None)
-    configs, problems = [], []
+    cells, problems = {}, []
     for cell in batch:
         try:
             composed = loader.load_configuration(CONFIG_NAME, cell, run_mode=RunMode.RUN)
             keys = [str(key) for key in composed if key != "hydra"]
-            configs.append(schema.load(OmegaConf.masked_copy(composed, keys)))
+            cells[_text(cell, swept)] = schema.load(OmegaConf.masked_copy(composed, keys))
         except Exception as error:
             problems.append(f"cell {_text(cell, swept)}: {error}")
     if problems:
         raise UserError("\n".join([REFUSAL, *dict.fromkeys(problems)]))
     console.headline("sweep", f"{counted(len(batch), 'cell')} over {', '.join(sorted(swept)) or 'nothing'}")
-    return Sweep(swept, configs, overrides)
+    return Sweep(swept, cells, overrides)
 
 
 def _record(config: Config, overrides: Sequence[str]) -> "SweepRecord":

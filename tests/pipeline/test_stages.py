@@ -99,6 +99,22 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
         100 * (1 - means["pouct"] / means["nonlearned_myopic"])
     )
     assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
+    all_rows = pd.read_parquet(workspace.output_dir / "episodes")
+    overall = all_rows.groupby("planner")["cost_cells"].mean()
+    assert metrics["pouct/all/percent_better_than_nonlearned_myopic"] == pytest.approx(
+        100 * (1 - overall["pouct"] / overall["nonlearned_myopic"])
+    )
+    low, high = (metrics[f"pouct/all/percent_better_than_nonlearned_myopic_{end}"] for end in ("low", "high"))
+    assert low < metrics["pouct/all/percent_better_than_nonlearned_myopic"] < high
+    assert metrics["pouct/all/decision_s"] > 0
+    assert evaluated.info.run_name == "paper" and "" not in evaluated.data.tags.values()
+    assert evaluated.data.tags["mlflow.note.content"].startswith("Over ")
+    [homes] = evaluated.inputs.dataset_inputs
+    profile = json.loads(homes.dataset.profile)
+    assert homes.dataset.name == "evaluation-homes" and profile["num_rows"] == 9
+    [model] = evaluated.inputs.model_inputs
+    assert model.model_id == champion.model_id
+    assert client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
     logged = {artifact.path for artifact in client.list_artifacts(of_evaluation, "report")}
     assert {"report/index.html", "report/table.csv", "report/tables", "report/figures"} <= logged
     table = client.load_table(store.experiment_id, "table.json", run_ids=[of_evaluation])

@@ -77,6 +77,7 @@ def test_a_cell_whose_files_are_missing_keeps_the_sweep_from_starting(workspace:
     homes = "evaluation.homes.files=[],[missing.jsonl]"
     done = cli("evaluate", "-m", *workspace.overrides, homes, "output_dir=outputs/nofile", cwd=workspace.path)
     assert done.code == 2 and "the sweep does not start:" in done.err and "missing.jsonl" in done.err
+    assert "cell evaluation.homes.files=[missing.jsonl]: " in done.err
     assert "== cell" not in done.out and not (workspace.path / "outputs" / "nofile" / "cells").exists()
 
 
@@ -122,7 +123,7 @@ def run_cells(*, fail: set[str], dry_run: bool = False, compares: bool = True) -
     compare = Stage(lambda config: Compared(config.output_dir), locks="never")
     stage = Stage(lambda config: Made(config.output_dir), locks="never", compare=compare if compares else None)
     config = configured(f"dry_run={dry_run}").model_copy(update={"output_dir": "/out"})
-    sweep = Sweep(frozenset({"a.seed"}), [config] * 3)
+    sweep = Sweep(frozenset({"a.seed"}), {f"a.seed={seed}": config for seed in range(3)})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweeps, "_record", lambda config, overrides: Record())
         for seed in range(3):
