@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import NoReturn
 
 import hydra
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -96,6 +97,9 @@ def _prepare_process(module_name: str, shorthands: Mapping[str, str]) -> None:
     # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv[1:] = [_for_hydra(argument) for argument in _flags_first(sys.argv[1:])]
+    if not any(argument.startswith("hydra.mode=") for argument in sys.argv):
+        # Hydra would compose the whole configuration twice, first only to look for this key, which ours does not set.
+        Hydra.get_mode = lambda *_, **__: None  # type: ignore[method-assign]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
     sys.argv[1:] = [_written_out(argument, shorthands) for argument in sys.argv[1:]]

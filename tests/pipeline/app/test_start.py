@@ -14,8 +14,6 @@ from tests.pipeline.harness import ROOT
 HEAVY = {"ray", "mlflow", "torch", "matplotlib", "pandas", "scipy", "numba", "pyarrow"}
 RUN = """
 import json, runpy, sys
-from hydra._internal.hydra import Hydra
-Hydra.get_mode = lambda *_, **__: None  # as tests do, to compose the configuration once
 imported = []
 for stage, *arguments in json.loads(sys.argv[1]):
     sys.argv = ["-m", *arguments]
