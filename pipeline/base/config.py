@@ -179,7 +179,7 @@ def _read_formula(plain: Any) -> None:
 
 
 def _check_planners(config: Config) -> None:
-    named = {f"planner_variants.{name}": (name,) for name in config.planner_variants}
+    named: dict[str, tuple[str, ...]] = {f"planner_variants.{name}": (name,) for name in config.planner_variants}
     named |= {"evaluation.planners": config.evaluation.planners, "optimality.planners": config.optimality.planners}
     specs = [(key, config.spec(name)) for key, names in named.items() for name in names]
     for key, spec in specs:  # of all, before a compiled search is imported
