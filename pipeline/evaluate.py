@@ -26,6 +26,7 @@ from pipeline.backends import registry, runs
 from pipeline.base import console
 from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
+from pipeline.episodes import outcome
 from pipeline.episodes import plan as plans
 from pipeline.episodes.plan import EvaluationPlan, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
@@ -46,8 +47,15 @@ class EvaluateJob:
     spec: EvaluationSpec
 
     def run(self, session: Session) -> None:
-        """Run the episodes that are missing."""
-        evaluate(prepare(self.spec, session.pool), session)
+        """Run the episodes that are missing, and say what all of them show.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
+        plan = prepare(self.spec, session.pool)
+        episodes = evaluate(plan, session)
+        outcome.say(episodes)
+        outcome.check(episodes, plan.planners)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say how many episodes would run, and for how long, from a short pilot."""
@@ -63,8 +71,11 @@ class EvaluateJob:
             yield from pilot(plan, session.pool)
 
 
-def evaluate(plan: EvaluationPlan, session: Session) -> None:
+def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
     """Run the episodes that the plan's folder lacks as one MLflow run, and leave the evaluation's manifest.
+
+    Returns:
+        All of the folder's episodes, without their traces.
 
     Raises:
         UserError: the run would change rows that the folder holds, or too many episodes fail.
@@ -76,16 +87,22 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
+        session.pool.start()  # an unusable cluster must not cost what is there
         layout.forget_episodes(folder)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
-    identity = _join(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
-    missing = plan.missing(writer.finished())
+    identity = _joined(folder, plan.identity)
+    writer = EpisodeWriter(
+        folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), lambda: identity.write(folder, IDENTITY)
+    )
+    finished = writer.finished()
+    missing = plan.missing(finished)
+    if more := len(finished - plan.identity.row_keys()):
+        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     earlier = EvaluationManifest.find(folder, MANIFEST)
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):
         writer.close()
         console.skipped(folder / EPISODES)
-        return
+        return read_episodes(folder / EPISODES)
     if len(missing) < total:
         console.line(f"there already: {counted(total - len(missing), 'episode')}")
     session.pool.start()
@@ -95,9 +112,11 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         manifest = _manifest(
             plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
         )
-        _conclude(run, folder / EPISODES)
+        episodes = read_episodes(folder / EPISODES)
+        _conclude(run, episodes)
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
+    return episodes
 
 
 def product(trials: int, planners: int) -> str:
@@ -106,15 +125,14 @@ def product(trials: int, planners: int) -> str:
     return f"{counted(trials, 'trial')} x {counted(planners, 'planner')} = {episodes}"
 
 
-def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
-    """Write and return the identity of a new run, or of the run in the folder grown by what is asked for now.
+def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
+    """Return the identity of a new run, or of the run in the folder grown by what is asked for now.
 
     Raises:
         UserError: the run would change existing rows; the message lists every difference.
     """
     recorded = RunIdentity.read(folder, IDENTITY)
     if recorded is None:
-        identity.write(folder, IDENTITY)
         return identity
     if changed := recorded.conflicts(identity):
         listed = "\n".join(f"  {line}" for line in changed)
@@ -122,13 +140,10 @@ def _join(folder: Folder, identity: RunIdentity) -> RunIdentity:
             f"{folder} holds episodes of another configuration:\n{listed}\n"
             "Give another output_dir, or overwrite=true to start anew there"
         )
-    joined, now = recorded.joined(identity), identity.row_keys()
+    joined = recorded.joined(identity)
     if joined is not recorded:
         before, after = len(recorded.row_keys()), len(joined.row_keys())
         console.line(f"the run there grows from {before} to {after} episodes: {identity.asked[0].text}")
-        joined.write(folder, IDENTITY)
-    if more := len(joined.row_keys() - now):
-        console.line(f"the run there has {more} episodes that are not asked for now; they are kept")
     return joined
 
 
@@ -158,14 +173,14 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
         yield run
 
 
-def _conclude(run: runs.Run, episodes: Folder) -> None:
+def _conclude(run: runs.Run, episodes: pd.DataFrame) -> None:
     """Log the evaluation's metrics, and its headline as the run's description."""
     # These import what draws; where every episode is there already, they are not needed.
     from mrtask.analysis.results.episodes import checked_episodes
     from mrtask.analysis.results.statistics import summarise
     from pipeline.episodes.metrics import headline_of, metrics_of
 
-    summary = summarise(checked_episodes(read_episodes(episodes)))
+    summary = summarise(checked_episodes(episodes))
     runs.log_metrics(run, metrics_of(summary))
     runs.describe(run, headline_of(summary))
 

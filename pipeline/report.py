@@ -30,6 +30,7 @@ from pipeline.backends import runs
 from pipeline.base import console
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Tracking
+from pipeline.episodes import outcome
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder
@@ -103,7 +104,17 @@ class ReportJob:
         return self.folder / REPORT
 
     def run(self, session: Session) -> None:
-        """Write the report on what the folder holds, unless it is up to date.
+        """Write the report on what the folder holds, and say in short what it shows.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
+        episodes = self.write(session)
+        outcome.say(episodes)
+        outcome.check(episodes)
+
+    def write(self, session: Session) -> pd.DataFrame:
+        """Write the report unless it is up to date; return the episodes that it is about.
 
         The MLflow run of the evaluation, or of the sweep whose cells are compared, gets a copy if the store has it.
         """
@@ -112,7 +123,7 @@ class ReportJob:
         console.headline("report", counted(len(collected.episodes), "episode"))
         if _is_current(collected, self.folder):
             console.skipped(self.target / REPORT_INDEX)
-            return
+            return collected.episodes
         of_sweep = session.cell.parent_run_id if not session.cell.text else None
         with tempfile.TemporaryDirectory() as temporary:
             table = _render(collected, Path(temporary))
@@ -120,6 +131,7 @@ class ReportJob:
             self._keep(of_sweep or collected.manifest.run_id, Path(temporary), table)
         collected.key.write(self.target, REPORT_KEY)
         console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
+        return collected.episodes
 
     def _keep(self, run_id: str, rendered: Path, table: pd.DataFrame) -> None:
         tracking = runs.open_tracking(self.tracking.uri, self.tracking.experiment_name)

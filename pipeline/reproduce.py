@@ -17,6 +17,7 @@ from pipeline import evaluate, report, train
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console
 from pipeline.base.config import Config
+from pipeline.episodes import outcome
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import load_model, plan_evaluation
 from pipeline.inputs import homes, rows, training
@@ -35,7 +36,11 @@ class ReproduceJob:
     evaluate: evaluate.EvaluateJob
 
     def run(self, session: Session) -> None:
-        """Run all stages, one after the other."""
+        """Run all stages, one after the other.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
         seconds: dict[str, float] = {}
         started_s = time.monotonic()
 
@@ -56,9 +61,11 @@ class ReproduceJob:
         if StageTimes.find(folder, STAGES) is None:
             StageTimes(seconds=seconds).write(folder, STAGES)
         reported = report.ReportJob(folder, spec.tracking)
-        reported.run(session)
+        episodes = reported.write(session)
+        outcome.say(episodes)
         page, total = reported.target / REPORT_INDEX, console.duration(time.monotonic() - started_s)
         console.headline("done", f"{spec.experiment} in {total}; open {page}, or `make dashboard` for all runs")
+        outcome.check(episodes, plan.planners)
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say what each stage would do; once homes and model exist, also how long the evaluation would take."""

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from mrtask.arrays import Bools, Int32s
-from mrtask.tasks.formula import Formula, check_names, parse, proposition_names, push_negations
+from mrtask.tasks.formula import Formula, FormulaError, check_names, parse, proposition_names, push_negations
 from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, State
 
 MAX_STATES = 10_000
@@ -153,6 +153,26 @@ def build_automaton(
         sink=int(doomed[0]) if len(doomed) else -1,
         initial=0,
     )
+
+
+def check_task(automaton: Automaton) -> Automaton:
+    """Return the automaton of a task that somebody has to do something for, and can do.
+
+    Raises:
+        FormulaError: No order of interactions with its propositions satisfies the formula, or every one does.
+    """
+    if automaton.initial == automaton.sink:
+        raise FormulaError(
+            "no order of interactions does this task; an interaction is with one object at a time, so for both of two "
+            "objects write 'F a & F b', not 'F (a & b)'",
+            automaton.formula,
+            1,
+        )
+    if automaton.accepting[automaton.initial]:
+        raise FormulaError(
+            "this task is done before anything is done; say what to interact with, as in 'F a'", automaton.formula, 1
+        )
+    return automaton
 
 
 class _TooManyStatesError(Exception):

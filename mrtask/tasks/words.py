@@ -17,7 +17,7 @@ from typing import Literal
 
 from mrtask.errors import InputError
 from mrtask.names import name_to_text
-from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.automaton import build_automaton, check_task
 from mrtask.tasks.formula import RESERVED_WORDS, check_names
 
 MAX_CHARACTERS = 500
@@ -124,11 +124,11 @@ def read_task(text: str, objects: Collection[str] | None = None, places: Collect
         places: likewise the containers to which something may be delivered.
 
     Raises:
-        FormulaError: the text is a formula with a mistake.
+        FormulaError: the text is a formula with a mistake, cannot be done, or is done before anything is.
         WordsError: the text is not a task in words, has an unknown name, or has more than one meaning.
     """
     if _FORMULA.search(text):
-        automaton = build_automaton(text)
+        automaton = check_task(build_automaton(text))
         allowed = None if objects is None else {*objects, *(places or ())}
         build_automaton(text, allowed)
         return ReadTask(text, automaton.propositions, tuple(n for n in automaton.propositions if n in (places or ())))

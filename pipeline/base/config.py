@@ -15,9 +15,12 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, ValidationError
 
 from mrtask.errors import InputError
+from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.names import suggest
 from mrtask.planning.planners import PLANNERS, check_planner_name
+from mrtask.tasks.automaton import build_automaton, check_task
+from mrtask.tasks.formula import parse
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -149,6 +152,7 @@ def load(composed: DictConfig) -> Config:
     except ValidationError as error:
         raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
+    _check_formula(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
             "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
@@ -176,6 +180,17 @@ def _read_formula(plain: Any) -> None:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"evaluation.formula_file={path}: cannot be read ({error})") from error
     options["formula_file"] = None
+
+
+def _check_formula(config: Config) -> None:
+    """Refuse a formula that is no task; its objects, as far as they can be known before the homes are made."""
+    formula, homes = config.evaluation.formula, config.homes
+    if formula is None:
+        return
+    check_task(build_automaton(formula))
+    if homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files:
+        kinds = [kind for containers in load_catalogue().objects.values() for kind in containers.values()]
+        parse(formula, {name for kind in kinds for name in kind["likelihoods"]})
 
 
 def _check_planners(config: Config) -> None:

@@ -21,7 +21,7 @@ def metrics_of(summary: Summary) -> dict[str, float]:
         f"{planner_label(planner)}/{name}/{what}": value
         for cell, name in named.items()
         for planner in summary.planners
-        for what, value in _of_cell(summary, cell, planner)
+        for what, value in (*_of_cell(summary, cell, planner), *_beside_means(summary, cell, planner))
     }
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
@@ -35,6 +35,16 @@ def _of_cell(summary: Summary, cell: Cell, planner: str) -> Iterator[tuple[str, 
     yield from _with_interval("cost_cells", one.cost_cells)
     for baseline in BASELINES:
         yield from _with_interval(f"percent_better_than_{baseline}", summary.improvement(cell, planner, baseline))
+
+
+def _beside_means(summary: Summary, cell: Cell, planner: str) -> Iterator[tuple[str, float]]:
+    """Yield, over everything, what a mean hides: the median saving, and the shares of ties and of later trials."""
+    for other in BASELINES if cell == EVERYTHING else ():
+        pair = summary.comparisons.get((cell, planner, other))
+        if pair is not None and pair.improvement.n:
+            yield f"median_percent_better_than_{other}", pair.median_percent
+            yield f"percent_of_trials_equal_to_{other}", pair.percent_of_pairs(pair.ties)
+            yield f"percent_of_trials_later_than_{other}", pair.percent_of_pairs(pair.losses)
 
 
 def _with_interval(what: str, estimate: Estimate) -> Iterator[tuple[str, float]]:

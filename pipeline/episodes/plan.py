@@ -1,12 +1,12 @@
 """Plans an evaluation: its episodes, what they share, and the identity that its rows carry."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 
 from mrtask.execution.team_spec import RobotSpec
-from mrtask.execution.trials import TrialOptions
+from mrtask.execution.trials import TrialOptions, can_serve, check_formula, objects_in
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
 from mrtask.likelihood.model import LikelihoodModel
@@ -22,7 +22,7 @@ from pipeline.base import console
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Evaluation, EvaluationHomes
 from pipeline.base.specs import EvaluationSpec, PlannerSpec
-from pipeline.episodes.worker import Context, EpisodeKey, Provenance, formula_objects
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance
 from pipeline.inputs import homes
 from pipeline.store.artifacts import NotMade
 from pipeline.store.folder import Folder
@@ -74,9 +74,7 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuse, before any work, a wrong formula or task and files that do not exist."""
-    if options.formula is not None:
-        formula_objects(options.formula)
+    """Refuse, before any work, a task in words that is none and files that do not exist."""
     if options.task is not None:
         read_task(options.task, None, ())
     check_files("evaluation.homes.files", options.homes.files)
@@ -97,8 +95,9 @@ def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
 
 def load_model(spec: EvaluationSpec) -> RegisteredModel:
     """Return the configured model; for a run that is continued, the version that it began with."""
-    if spec.dry_run and runs.is_new(spec.tracking.uri):
-        raise NotMade("no model is registered yet; python -m pipeline.train trains one")
+    if runs.is_new(spec.tracking.uri):
+        uri, store = spec.options.model_uri, spec.tracking.uri
+        raise NotMade(f"no usable model {uri}: there is no store {store} yet; python -m pipeline.train trains one")
     begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
     uri = spec.options.model_uri
     if begun is not None and uri == registry.CHAMPION_URI:
@@ -118,6 +117,8 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
     size_classes = _size_classes(options.size_classes, evaluated)
     identity = _identity(spec, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
+    if formula is not None:
+        _check_served(formula, objects, [home for home in unseen if home.size_class in size_classes])
     drawn = configured.source == "generated" and configured.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
     if any(planner.likelihood.source == "truth" for planner in planners):
@@ -160,12 +161,30 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
 
 
 def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
-    """Return the configured formula, or that of the task in words about these homes, and its objects; or None."""
+    """Return the configured formula, or that of the task in words, and its objects; or None.
+
+    Raises:
+        InputError: none of these homes has an object of the task.
+    """
     if options.task is not None:
-        names = {name for home in homes for container in home.containers for name in container.objects}
-        read = read_task(options.task, names, ())
+        read = read_task(options.task, objects_in(homes), ())
         return read.formula, read.propositions
-    return options.formula, formula_objects(options.formula) if options.formula is not None else ()
+    return options.formula, check_formula(options.formula, homes) if options.formula is not None else ()
+
+
+def _check_served(formula: str, objects: tuple[str, ...], homes: Sequence[Home]) -> None:
+    """Say in how many of the homes the task cannot be done; raises `UserError` for a size class with no other."""
+    fitting = Counter(home.size_class for home in homes if can_serve(formula, objects, objects_in([home])))
+    everywhere = Counter(home.size_class for home in homes)
+    if none := [name for name in everywhere if not fitting[name]]:
+        raise UserError(
+            f"no {' and no '.join(none)} home has what the task {formula!r} needs in its containers; give more homes "
+            "(homes.test, evaluation.homes.files), other evaluation.size_classes or another task"
+        )
+    if lacking := everywhere.total() - fitting.total():
+        console.line(
+            f"{lacking} of {everywhere.total()} homes lack what the task needs: its trials are drawn among the others"
+        )
 
 
 def episode_keys(spec: EvaluationSpec, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:

@@ -137,6 +137,7 @@ def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool | None) -
     folder = datasets_dir / "generated" / key
     if artifacts.find_manifest(folder, GeneratedHousesManifest) is None:
         maker = _refuse_in_dry_run(pool)
+        maker.start()
 
         def fill(temporary: Path) -> GeneratedHousesManifest:
             houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, maker))

@@ -150,6 +150,9 @@ def test_deliveries_name_their_places():
 def test_formulas_pass_unchanged_and_keep_their_errors():
     formula = "(!Pillow U Laptop) & F Pillow"
     assert read_task(formula, OBJECTS).formula == formula
+    for formula in ("F (Pillow & !Pillow)", "true"):
+        with pytest.raises(FormulaError, match="this task"):
+            read_task(formula, OBJECTS)
     with pytest.raises(FormulaError, match="did you mean 'Pillow'"):
         read_task("F Pilow", OBJECTS)
 

@@ -173,7 +173,7 @@ def failure_table(episodes: pd.DataFrame) -> Table | None:
     rows = episodes[episodes["status"] != "accepted"]
     if rows.empty:
         return None
-    reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
+    reasons = rows["error"].map(reason_of) if "error" in rows.columns else pd.Series("", index=rows.index)
     grouped = rows.assign(reason=reasons).groupby(["status", "reason"])
     found = sorted(grouped, key=lambda failure: (-len(failure[1]), failure[0]))
     lines = [
@@ -224,7 +224,7 @@ def _nested(value: object) -> str | None:
     return f"({_text(value)})" if isinstance(value, Mapping) else _text(value)
 
 
-def _reason(error: object) -> str:
+def reason_of(error: object) -> str:
     """The first line of an error; of a traceback, the last, which names the exception."""
     if not isinstance(error, str) or not error.strip():
         return ""

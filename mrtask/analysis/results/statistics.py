@@ -78,6 +78,8 @@ class Comparison:
 
     improvement: Estimate
     """``1 - mean(planner) / mean(baseline)``, in percent: positive is better."""
+    median_percent: float
+    """The median over the trials of what each saves of the baseline's cost, in percent; NaN without pairs."""
     wins: int
     ties: int
     losses: int
@@ -91,6 +93,10 @@ class Comparison:
     only_planner: int
     only_baseline: int
     """The number of trials that only this one of the two finished; they are outside the comparison."""
+
+    def percent_of_pairs(self, count: int) -> float:
+        """Return a number of trials in percent of those that both finished."""
+        return 100 * count / self.improvement.n
 
     @property
     def ties_decide(self) -> bool:
@@ -298,6 +304,7 @@ def compare(cost: Floats, baseline: Floats, improvement: Estimate | None = None)
     saved = baseline[both] - cost[both]
     return Comparison(
         improvement=improvement or improvement_percent(cost[both], baseline[both]),
+        median_percent=_median_percent(saved, baseline[both]),
         wins=int((saved > SAME_COST_S).sum()),
         ties=int((np.abs(saved) <= SAME_COST_S).sum()),
         losses=int((saved < -SAME_COST_S).sum()),
@@ -306,6 +313,14 @@ def compare(cost: Floats, baseline: Floats, improvement: Estimate | None = None)
         only_planner=int((done & ~base_done).sum()),
         only_baseline=int((base_done & ~done).sum()),
     )
+
+
+def _median_percent(saved: Floats, baseline: Floats) -> float:
+    """Return the median of ``saved / baseline`` in percent; where both cost nothing, nothing is saved."""
+    if not len(saved):
+        return float("nan")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.median(np.where(np.abs(saved) <= SAME_COST_S, 0.0, 100 * saved / baseline)))
 
 
 def _wilcoxon(saved: Floats, ties: bool = True) -> float:
