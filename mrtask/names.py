@@ -28,5 +28,10 @@ def counted(number: int, noun: str) -> str:
 def suggest(word: str, allowed: Iterable[str]) -> str:
     """Return a hint for a wrong word: the nearest allowed one, if one is near, and all that are allowed."""
     words = list(allowed)
-    near = difflib.get_close_matches(word, words, n=1)
-    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(words)}"
+    return f"{did_you_mean(word, words)}allowed: {', '.join(words)}"
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """Return a question that names the nearest allowed word, with a space at its end, or nothing if none is near."""
+    near = difflib.get_close_matches(word, list(allowed), n=1)
+    return f"did you mean {near[0]}? " if near else ""

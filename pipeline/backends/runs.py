@@ -189,12 +189,17 @@ def run(
         status = "KILLED"
         raise
     except _FAULTS as error:
-        raise TrackingError(
-            f"tracking.uri={shown(tracking.uri)}: MLflow's store failed: {_first_line(error)}"
-        ) from error
+        raise _failed(tracking, error) from error
     finally:
-        with contextlib.suppress(*_FAULTS) if status == "FAILED" else contextlib.nullcontext():
-            mlflow.end_run(status)  # where it failed because the store does, this fails too
+        try:
+            mlflow.end_run(status)
+        except _FAULTS as error:  # where the block ended by an exception, that one says more
+            if status == "FINISHED":
+                raise _failed(tracking, error) from error
+
+
+def _failed(tracking: Tracking, error: BaseException) -> TrackingError:
+    return TrackingError(f"tracking.uri={shown(tracking.uri)}: MLflow's store failed: {_first_line(error)}")
 
 
 class SweepRecord:
@@ -228,11 +233,15 @@ class SweepRecord:
     def end(self, error: BaseException | None) -> None:
         """End the run as FINISHED, FAILED or KILLED, with the headline metrics of all cells."""
         if not isinstance(error, KeyboardInterrupt):
-            for cell, metrics in self._children().items():
-                of_cell = re.sub(r"[^\w\-. ]", " ", cell)
-                found = {f"{of_cell}/{name}": value for name, value in metrics.items() if HEADLINE.search(name)}
-                log_metrics(self._run, found)
+            with contextlib.suppress(*_FAULTS) if error else contextlib.nullcontext():
+                self._log_headlines()
         self._open.__exit__(type(error) if error else None, error, error.__traceback__ if error else None)
+
+    def _log_headlines(self) -> None:
+        for cell, metrics in self._children().items():
+            of_cell = re.sub(r"[^\w\-. ]", " ", cell)
+            found = {f"{of_cell}/{name}": value for name, value in metrics.items() if HEADLINE.search(name)}
+            log_metrics(self._run, found)
 
     def _children(self) -> dict[str, dict[str, float]]:
         """Return the metrics of the cells that have a run."""

@@ -6,6 +6,7 @@ starts. Only ``conf/`` holds defaults. The sections are in `pipeline.base.sectio
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -17,7 +18,7 @@ from pydantic import BaseModel, Field, ValidationError
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.options import LikelihoodChoice
-from mrtask.names import suggest
+from mrtask.names import did_you_mean, suggest
 from mrtask.planning.planners import PLANNERS, check_planner_name
 from mrtask.tasks.automaton import build_automaton, check_task
 from mrtask.tasks.formula import parse
@@ -241,7 +242,9 @@ def explain_error(item: Any) -> str:
     if kind in _BOUNDS:
         message = "must be " + _BOUNDS[kind].format(**context)
     elif kind in ("literal_error", "union_tag_invalid"):
-        message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
+        expected = context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
+        words = re.findall("'([^']*)'", expected)
+        message = f"{did_you_mean(str(given), words)}allowed: {expected}"
     else:
         message = item["msg"].removeprefix("Value error, ")
     # A section that contradicts itself is not repeated: its message names the keys.
