@@ -49,7 +49,7 @@ def main(module_name: str, shorthands: Mapping[str, str] = MappingProxyType({}))
     try:
         with interrupt.remembered(), sweep.recorded():
             hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, InputError) as error:
         sys.exit(refuse(_friendly(str(error))))
     except KeyboardInterrupt:
         print(interrupt.MESSAGE, file=sys.stderr)

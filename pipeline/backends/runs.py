@@ -305,10 +305,12 @@ def log_dataset(run: Run, dataset: Dataset, folder: Path) -> None:
     Of each split these are the distinct triples with their counts; tags say how many rows of how many homes they are.
     """
     for split in SPLITS:
+        frame = dataset.triples(split).astype({"positives": "float64", "count": "float64"})
         triples = from_pandas(
-            dataset.triples(split).astype({"positives": "float64", "count": "float64"}),
+            frame,
             source=LocalArtifactDatasetSource(str(folder.absolute())),
             name=f"labelled-rows-{split}",
+            digest=hashlib.sha256(frame.to_csv(index=False).encode()).hexdigest()[:_DIGEST_LENGTH],
         )
         counts = {name: f"{dataset.manifest.counts[split][name]:.0f}" for name in ("rows", "homes")}
         mlflow.log_input(triples, context="training" if split == "train" else split, tags=counts)

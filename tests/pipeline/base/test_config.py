@@ -66,7 +66,7 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["evaluation.size_classes=[smal]"], ["did you mean small? allowed: 'small', 'medium', 'large'"]),
         (["evaluation.model_uri=champion"], ["evaluation.model_uri=champion: allowed: models:/NAME/VERSION, "]),
         (["contents.sha256=abc"], ["contents.sha256=abc: allowed: 64 hexadecimal digits"]),
-        (["+planner_variants={'a b': {planner: pouct}}"], ["allowed: names of letters, digits, _, - and :"]),
+        (["+planner_variants={a b: {planner: pouct}}"], ["allowed: names of letters, digits, _, - and :"]),
         (["evaluation.planners=[pouct,foo]"], ["evaluation.planners", "'foo'", *PLANNERS]),
         (["evaluation.planners=[greedy,greedy]"], ["evaluation.planners", "once"]),
         (["evaluation.planners=[no.such.module]"], ["no.such.module", "cannot be imported"]),
