@@ -62,7 +62,8 @@ docs: $(STAMP)  ## build the documentation site into build/site
 	@$(BIN)/mkdocs build --strict --quiet $(ARGS)
 
 dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http://127.0.0.1:5000)
-	@echo "runs: http://127.0.0.1:$(PORT)/#/experiments, registered models: http://127.0.0.1:$(PORT)/#/models; Ctrl-C ends it"
+	@echo "runs:   http://127.0.0.1:$(PORT)/#/experiments/1/runs?workflowType=machine_learning"
+	@echo "models: http://127.0.0.1:$(PORT)/#/models?workflowType=machine_learning"
 	@MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --workers 1 \
 		--backend-store-uri sqlite:///$(CURDIR)/outputs/mlflow.db $(ARGS)
 

@@ -7,6 +7,7 @@ loss than the champion's on test homes that neither was trained on. To roll back
 """
 
 import json
+import re
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -152,7 +153,9 @@ def logged_model_id(tracking: Tracking, version: str) -> str | None:
         if error.error_code not in ("RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE"):
             raise
         return None
-    return str(found.model_id) if found.model_id else None
+    # An SQL store keeps the id only in the version's source, ``models:/<id>``.
+    of_source = re.fullmatch(r"models:/(m-\w+)", found.source or "")
+    return of_source[1] if of_source else None
 
 
 def version_uri(version: str) -> str:

@@ -116,7 +116,7 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
     profile = json.loads(homes.dataset.profile)
     assert homes.dataset.name == "evaluation-homes" and profile["num_rows"] == 9
     [model] = evaluated.inputs.model_inputs
-    assert model.model_id == champion.model_id
+    assert champion.source == f"models:/{model.model_id}"
     assert client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
     cost_s = pd.read_parquet(workspace.output_dir / "episodes").pivot(
         index="trial_id", columns="planner", values="cost_s"
