@@ -67,7 +67,7 @@ class Sweep:
         self.started += 1
         text = _text(overrides, self.swept)
         console.headline(f"cell {self.started}/{len(self.cells)}", text)
-        cell = Cell(text, _without_groups(text, self.swept), self.record and self.record.run_id)
+        cell = Cell(text, _without_groups(text, self.swept), self.record.run_id if self.record else None)
         try:
             own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
             stage.start(config.model_copy(update=own_folder), Session(pool, cell))

@@ -24,7 +24,6 @@ from filelock import FileLock
 from mlflow.data.pandas_dataset import from_pandas
 from mlflow.data.sources import LocalArtifactDatasetSource  # type: ignore[attr-defined]  # made at run time
 from mlflow.entities import Experiment, LoggedModelInput
-from mlflow.environment_variables import MLFLOW_HTTP_REQUEST_MAX_RETRIES, MLFLOW_HTTP_REQUEST_TIMEOUT
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -120,11 +119,11 @@ def _experiment(uri: str, name: str, location: str | None, lock_path: Path) -> E
         found = client.get_experiment_by_name(name)
         if found is None:
             try:
-                client.create_experiment(name, location)
+                found = client.get_experiment(client.create_experiment(name, location))
             except MlflowException as error:
-                if error.error_code != "RESOURCE_ALREADY_EXISTS":  # another process was faster
+                found = client.get_experiment_by_name(name)  # another process was faster
+                if error.error_code != "RESOURCE_ALREADY_EXISTS" or found is None:
                     raise
-            found = client.get_experiment_by_name(name)
         if found.tags.get(_KIND) != _MODEL_TRAINING:
             client.set_experiment_tag(found.experiment_id, _KIND, _MODEL_TRAINING)
     return found
@@ -133,15 +132,17 @@ def _experiment(uri: str, name: str, location: str | None, lock_path: Path) -> E
 @contextlib.contextmanager
 def _impatient() -> Iterator[None]:
     """Let a server's first answer take `FIRST_CONNECTION_S`; MLflow by itself would ask again for minutes."""
-    limits = {MLFLOW_HTTP_REQUEST_TIMEOUT: int(FIRST_CONNECTION_S), MLFLOW_HTTP_REQUEST_MAX_RETRIES: 0}
-    before = {variable: variable.get_raw() for variable in limits}
-    for variable, limit in limits.items():
-        variable.set(limit)
+    limits = {"MLFLOW_HTTP_REQUEST_TIMEOUT": f"{FIRST_CONNECTION_S:.0f}", "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}
+    before = {name: os.environ.get(name) for name in limits}
+    os.environ.update(limits)
     try:
         yield
     finally:
-        for variable, value in before.items():
-            variable.unset() if value is None else variable.set(value)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _first_line(error: BaseException) -> str:
