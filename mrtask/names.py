@@ -1,5 +1,6 @@
 """Put names and numbers into words: ``RemoteControl``, ``remote_control`` and ``remote control`` are one name."""
 
+import difflib
 import re
 import unicodedata
 from collections.abc import Iterable
@@ -44,3 +45,15 @@ def listed(names: Iterable[str]) -> str:
     """Return at least one name in a row: ``a, b and c``."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def suggest(word: str, allowed: Iterable[str]) -> str:
+    """Return a hint for a wrong word: the nearest allowed one, if one is near, and all that are allowed."""
+    words = list(allowed)
+    return f"{did_you_mean(word, words)}allowed: {', '.join(words)}"
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """Return a question that names the nearest allowed word, with a space at its end, or nothing if none is near."""
+    near = difflib.get_close_matches(word, list(allowed), n=1)
+    return f"did you mean {near[0]}? " if near else ""

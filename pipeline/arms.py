@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 
 import pandas as pd
 
+from mrtask.names import counted
 from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
@@ -97,7 +98,9 @@ class Comparison:
 
     @property
     def _text(self) -> str:
-        return f"{sum(len(one.arms) for one in self.shared)} arms in {len(self.shared)} evaluations"
+        return (
+            f"{counted(sum(len(one.arms) for one in self.shared), 'arm')} in {counted(len(self.shared), 'evaluation')}"
+        )
 
     def run(self, session: Session) -> None:
         """Run the evaluations and write the page.

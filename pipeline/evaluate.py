@@ -6,8 +6,12 @@ configuration that would change existing rows is refused (overwrite=true starts 
 would take.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.evaluate")
+
 import contextlib
-import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,20 +20,17 @@ from typing import Any
 
 import pandas as pd
 
-from mrtask.analysis.page.style import planner_label
-from mrtask.analysis.results.episodes import checked_episodes
-from mrtask.analysis.results.roles import BASELINES
-from mrtask.analysis.results.statistics import EVERYTHING, summarise
 from mrtask.analysis.studies.calibration import reliability_in_homes
+from mrtask.names import counted
 from pipeline import report
-from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import UserError
+from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes import outcome
-from pipeline.episodes.plan import EvaluationPlan, check, prepare
+from pipeline.episodes import plan as plans
+from pipeline.episodes.plan import EvaluationPlan, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
 from pipeline.episodes.worker import Context
 from pipeline.inputs.training import find_record
@@ -62,10 +63,9 @@ class EvaluateJob:
     def outline(self, session: Session) -> Iterator[str]:
         """Say how many episodes would run, and for how long, from a short pilot."""
         options = self.spec.options
-        check(options)
         trials = options.trials_per_cell * len(options.size_classes) * len(options.robots)
         planners = len(self.spec.planners)
-        yield f"would run {trials} trials x {planners} planners = {trials * planners} episodes"
+        yield f"would run {product(trials, planners)}"
         try:
             plan = prepare(self.spec, session.pool)
         except NotMade as missing:
@@ -86,8 +86,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
     spec, total, planners = plan.spec, len(plan.keys), len(plan.planners)
     console.headline(
         "evaluate",
-        f"{total // planners} trials x {planners} planners = {total} episodes, "
-        f"model version {plan.identity.model_version}",
+        f"{product(total // planners, planners)}, model version {plan.identity.model_version}",
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
     if spec.overwrite:
@@ -109,7 +108,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
         console.skipped(folder / EPISODES)
         return read_episodes(folder / EPISODES)
     if len(missing) < total:
-        console.line(f"{total - len(missing)} episodes are there already")
+        console.line(f"there already: {counted(total - len(missing), 'episode')}")
     session.pool.start()
     with _tracked(plan, folder, session.cell) as run:
         reach = map_homes(plan.context, session.pool)
@@ -125,7 +124,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
             run_id=run.run_id,
         )
         episodes = read_episodes(folder / EPISODES)
-        runs.log_metrics(run, _metrics(episodes))
+        _conclude(run, episodes)
     manifest.write(folder, MANIFEST)
     console.result(folder / EPISODES, time.monotonic() - began_s)
     return episodes
@@ -138,6 +137,12 @@ def _champion(plan: EvaluationPlan) -> str | None:
     if champion not in (None, used):
         console.line(f"planners use version {used} of the model; the champion is version {champion}")
     return champion
+
+
+def product(trials: int, planners: int) -> str:
+    """Return ``9 trials x 1 planner = 9 episodes``."""
+    episodes = counted(trials * planners, "episode")
+    return f"{counted(trials, 'trial')} x {counted(planners, 'planner')} = {episodes}"
 
 
 def _joined(folder: Folder, identity: RunIdentity) -> RunIdentity:
@@ -172,43 +177,32 @@ def _tracked(plan: EvaluationPlan, folder: Folder, cell: Cell) -> Iterator[runs.
         "model_version": plan.identity.model_version,
         "output_dir": folder.location,
         "code_version": plan.context.provenance.code_version,
-        "sweep": cell.text,
+        runs.SWEEP: cell.text,
     }
     if (earlier := folder.read(RUN_ID)) is not None:
         runs.end_abandoned(tracking, earlier.decode())
-    name = cell.title or f"evaluate {plan.spec.experiment}"
+    name = cell.title or runs.name_of(plan.spec.output_dir)
     with runs.run(tracking, name, params, tags, cell.parent_run_id) as run:
         folder.write(RUN_ID, run.run_id.encode())
+        homes = pd.DataFrame(
+            [(home.id, home.size_class, len(home.containers)) for home in plan.context.homes],
+            columns=["home_id", "size_class", "containers"],
+        )
+        model_id = registry.logged_model_id(tracking, plan.identity.model_version)
+        runs.log_evaluated(run, homes, plan.homes.source, plan.identity.evaluated_homes, model_id)
         yield run
 
 
-def _metrics(episodes: pd.DataFrame) -> dict[str, float]:
-    """Return for MLflow each planner's accepted share, mean cost and improvements in each cell, with 95 % intervals.
+def _conclude(run: runs.Run, episodes: pd.DataFrame) -> None:
+    """Log the evaluation's metrics, and its headline as the run's description."""
+    # These import what draws; where every episode is there already, they are not needed.
+    from mrtask.analysis.results.episodes import checked_episodes
+    from mrtask.analysis.results.statistics import summarise
+    from pipeline.episodes.metrics import headline_of, metrics_of
 
-    Over all cells together it has what the mean hides: the median saving, and the shares of ties and of later trials.
-    """
     summary = summarise(checked_episodes(episodes))
-    metrics = {}
-    for (cell, planner, other), pair in summary.comparisons.items():
-        if cell == EVERYTHING and other in BASELINES and pair.improvement.n:
-            name = f"{planner_label(planner)}/all"
-            metrics[f"{name}/median_percent_better_than_{other}"] = pair.median_percent
-            metrics[f"{name}/percent_of_trials_equal_to_{other}"] = pair.percent_of_pairs(pair.ties)
-            metrics[f"{name}/percent_of_trials_later_than_{other}"] = pair.percent_of_pairs(pair.losses)
-    for cell in summary.cells:
-        for planner in summary.planners:
-            if (found := summary.planner_cells.get((cell, planner))) is None:
-                continue
-            name = f"{planner_label(planner)}/{cell[0]}_{cell[1]}"
-            metrics[f"{name}/accepted"] = found.accepted / found.episodes
-            estimates = {"cost_cells": found.cost_cells} | {
-                f"percent_better_than_{baseline}": summary.improvement(cell, planner, baseline)
-                for baseline in BASELINES
-            }
-            for what, estimate in estimates.items():
-                values = {"": estimate.value, "_low": estimate.low, "_high": estimate.high}
-                metrics |= {f"{name}/{what}{end}": value for end, value in values.items() if math.isfinite(value)}
-    return metrics
+    runs.log_metrics(run, metrics_of(summary))
+    runs.describe(run, headline_of(summary))
 
 
 def _manifest(
@@ -259,7 +253,10 @@ def _reliability(context: Context) -> tuple[dict[str, Any], ...]:
     return tuple(bins.astype(object).where(bins.notna(), None).to_dict("records"))
 
 
-STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), compare=report.STAGE)
+def check(config: Config) -> None:
+    """Refuse a task that is none, homes that are not there, and a store that cannot be used."""
+    plans.check(config.evaluation)
+    runs.check_store(config)
 
-if __name__ == "__main__":
-    main("pipeline.evaluate")
+
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)

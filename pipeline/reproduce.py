@@ -3,13 +3,17 @@
 experiment=paper (default) is the paper's; experiment=smoke the same in small.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.reproduce")
+
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from pipeline import evaluate, report
-from pipeline.app.main import main
+from pipeline import evaluate, report, train
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import registry
 from pipeline.base import console
@@ -17,12 +21,11 @@ from pipeline.base.config import Config
 from pipeline.base.specs import TrainingSpec
 from pipeline.episodes import outcome
 from pipeline.episodes.kernels import compiled_meanwhile
-from pipeline.episodes.plan import check, check_task_in, load_model, plan_evaluation
+from pipeline.episodes.plan import check_task_in, load_model, plan_evaluation
 from pipeline.inputs import homes, rows, training
 from pipeline.store.folder import Folder
 from pipeline.store.layout import REPORT_INDEX, STAGES
 from pipeline.store.records import StageTimes
-from pipeline.train import TrainJob
 
 Result = TypeVar("Result")
 
@@ -31,7 +34,7 @@ Result = TypeVar("Result")
 class ReproduceJob:
     """Trainings, and an evaluation with the best model that they made."""
 
-    train: TrainJob
+    train: train.TrainJob
     rivals: tuple[TrainingSpec, ...]
     """What is trained beside."""
     evaluate: evaluate.EvaluateJob
@@ -52,10 +55,7 @@ class ReproduceJob:
             return result
 
         spec, pool = self.evaluate.spec, session.pool
-        check(spec.options)
         trainings = (self.train.training, *self.rivals)
-        for one in trainings:
-            training.check(one)
         with compiled_meanwhile(spec.planners):
             home_set = timed("homes", lambda: homes.make(spec.homes, pool))
             check_task_in(spec.options, home_set)
@@ -80,7 +80,6 @@ class ReproduceJob:
         """Say what each stage would do; once homes and model exist, also how long the evaluation would take."""
         yield from self.train.outline(session)
         for one in self.rivals:
-            training.check(one)
             yield f"would train {one.what} beside it, and plan with the better one by log loss on the test homes"
         yield from self.evaluate.outline(session)
         yield "would write the report"
@@ -90,10 +89,17 @@ def job(config: Config) -> ReproduceJob:
     """Return the configured experiment."""
     wanted = config.training_spec
     rivals = tuple(training.rival(wanted, kind) for kind in config.rivals if kind != wanted.model.kind)
-    return ReproduceJob(TrainJob(config.homes_spec, wanted), rivals, evaluate.EvaluateJob(config.evaluation_spec()))
+    training_job = train.TrainJob(config.homes_spec, wanted)
+    return ReproduceJob(training_job, rivals, evaluate.EvaluateJob(config.evaluation_spec()))
 
 
-STAGE = Stage(job, compare=report.STAGE)
+def check(config: Config) -> None:
+    """Refuse what training or evaluation would refuse."""
+    train.check(config)
+    wanted = config.training_spec
+    for kind in config.rivals:
+        training.check(training.rival(wanted, kind))
+    evaluate.check(config)
 
-if __name__ == "__main__":
-    main("pipeline.reproduce")
+
+STAGE = Stage(job, check, compare=report.STAGE)

@@ -73,7 +73,7 @@ def run(arguments: Sequence[str]) -> None:
     }
     console.text("\n".join(table(results, _published(options.published))))
     if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
-        console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
+        console.line(f"over {counted(len(worlds), 'world')} drawn from these likelihoods")
         in_worlds = [replace(scenario, home=world) for world in worlds]
         means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
         console.text("\n".join(table(means, None)))

@@ -24,7 +24,7 @@ from shapely.geometry import Polygon as ShapelyPolygon
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, AssetDatabase, Size, load_catalogue
 from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, Room
-from mrtask.names import check_name
+from mrtask.names import check_name, counted
 from mrtask.validation import dotted, first_problem
 
 MAX_COORDINATE_M = 1000.0
@@ -41,12 +41,12 @@ _ASSET_GROUP = re.compile(r"_\d+$")
 
 
 class HouseError(InputError):
-    """A house that cannot be read. The message names the file, the home's number in it (from 0), and the field."""
+    """A house that cannot be read. The message names the file, the line (from 1) with the home, and the field."""
 
     def __init__(self, source: str, number: int | None, field: str, problem: str) -> None:
         self.source, self.number, self.field, self.problem = source, number, field, problem
-        home = "" if number is None else f", home {number}"
-        super().__init__(f"{source}{home}: {f'{field}: ' if field else ''}{problem}")
+        line = "" if number is None else f", line {number + 1}"
+        super().__init__(f"{source}{line}: {f'{field}: ' if field else ''}{problem}")
 
 
 _Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M, allow_inf_nan=False)]
@@ -158,7 +158,7 @@ def read_houses(
     assets = load_asset_types(assets_path) if assets_path is not None else None
     for path in paths:
         count = 0
-        for number, line in enumerate(_lines(path)):
+        for number, line in _lines(path):
             count += 1
             try:
                 yield parse_house(_parse_json(line, path.name, number), assets, path.name, number)
@@ -170,7 +170,7 @@ def read_houses(
             raise HouseError(path.name, None, "", "the file holds no house")
 
 
-def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: int) -> Home:
+def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: int | None) -> Home:
     """Turn one decoded house JSON into a `Home`. Raises `HouseError` if it is not a valid house."""
     try:
         house = _House.model_validate(raw)
@@ -379,20 +379,22 @@ def _room_of(item: _Object, shapes: Mapping[str, ShapelyPolygon]) -> str | None:
     return named if named in around else next(iter(around), None)
 
 
-def _lines(path: Path) -> Iterator[str]:
+def _lines(path: Path) -> Iterator[tuple[int | None, str]]:
+    """Yield the houses of a file with their lines, from 0; a ``.json`` file is one house of any number of lines."""
     if path.suffix == ".json":
-        yield _read_text(path)
+        yield None, _read_text(path)
         return
     opener: Any = gzip.open if path.suffix == ".gz" else open
-    number = 0
+    number = homes = 0
     try:
         with opener(path, "rt", encoding="utf-8") as file:
             for line in file:
                 if line.strip():
-                    yield line
-                    number += 1
+                    yield number, line
+                    homes += 1
+                number += 1
     except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
-        problem = f"the file is damaged or cut off after {number} whole homes ({error})"
+        problem = f"the file is damaged or cut off after {counted(homes, 'whole home')} ({error})"
         raise HouseError(path.name, number, "", problem) from None
 
 

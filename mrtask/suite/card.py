@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from mrtask.analysis.results.statistics import Estimate, PairedCosts, paired_costs
+from mrtask.names import counted
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 BASELINES = ("nonlearned_myopic", "learned_myopic")
@@ -38,7 +39,8 @@ def render_card(
     names = planners_in_order(costs.columns)
     chosen = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     lines = [
-        f"{planner} ({chosen}) on {suite}: {len(episodes)} trials in {homes[episodes['trial_id']].nunique()} homes",
+        f"{planner} ({chosen}) on {suite}: {counted(len(episodes), 'trial')} in "
+        + counted(homes[episodes["trial_id"]].nunique(), "home"),
         "",
         f"{'':22} {'finished':>8} {'mean s':>8}  {'% below nonlearned':>20}  {'% below learned':>20}",
     ]

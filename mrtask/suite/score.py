@@ -28,6 +28,7 @@ from tqdm import tqdm
 from mrtask.errors import InputError, refuse
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.files import default_cache_dir
+from mrtask.names import counted
 from mrtask.planning.planners import make_planner
 from mrtask.planning.warm_up import kernels_missing, mark_compiled
 from mrtask.suite.card import planning_text, render_card
@@ -146,7 +147,7 @@ def main(arguments: list[str]) -> int:
     except (InputError, ValueError) as error:
         return refuse(error)
     print(f"{card}\n\n{planning_text(episodes)}")
-    print(f"{time.monotonic() - began_s:.0f} s on {request.workers} workers")
+    print(f"{time.monotonic() - began_s:.0f} s on {counted(request.workers, 'worker')}")
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
         (request.out / CARD_FILE).write_text(card + "\n", encoding="utf-8")

@@ -9,10 +9,11 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, can_serve, check_formula, objects_in
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
+from mrtask.names import counted
 from mrtask.tasks.words import read_task
 from pipeline.backends import registry, runs
 from pipeline.backends.pool import Pool
@@ -222,7 +223,9 @@ def _unseen_homes(
         say_faults(read_from)
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
-        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
+        console.line(
+            f"{counted(len(found) - len(unseen), 'evaluation home')} left out: the model has seen them in training"
+        )
     return unseen, EvaluatedHomes(
         source="procthor" if options.files else set_source,
         files=read_from.paths,

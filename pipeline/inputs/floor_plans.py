@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home, draw_scan
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.maps.home_map import HomeMap
+from mrtask.names import counted
 from pipeline.base import console
 from pipeline.base.specs import MapOptions
 from pipeline.store.folder import Folder
@@ -23,7 +24,7 @@ def draw(source: HomeFiles, title: str, maps: MapOptions, target: Folder) -> Non
     """Draw some homes of each size class, a gallery of them called ``title`` and, if they come from maps, these."""
     began_s = time.monotonic()
     mapped = _examples(source, maps)
-    console.headline("drawing", f"{len(mapped)} homes")
+    console.headline("drawing", counted(len(mapped), "home"))
     with console.Progress(len(mapped), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
         for home, home_map in mapped:
             figure = Figure(figsize=(8, 8), layout="constrained")

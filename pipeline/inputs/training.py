@@ -190,3 +190,6 @@ def _say(record: TrainedModelRecord) -> None:
     )
     console.line(f"test homes: {own}; the frequency table: {table}")
     console.line(f"version {record.model_version}: {record.note}")
+    if not record.champion:
+        uri = registry.version_uri(record.model_version)
+        console.line(f"evaluations use the champion; to use this version all the same: evaluation.model_uri={uri}")

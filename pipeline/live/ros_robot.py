@@ -5,16 +5,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import atan2, cos, dist, isfinite, sin
 from time import monotonic
-from typing import Any, Protocol, TypeGuard
+from typing import Annotated, Any, Literal, Protocol, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.base.values import LocalPath
+from pipeline.base.values import LocalPath, spelled
 from pipeline.live.labels import Labels
 
 Message = dict[str, Any]
 Point = tuple[float, float]
 
+WEBSOCKETS = "ws://HOST:PORT or wss://HOST:PORT"
 MAX_REASON = 200
 MAX_NAME = 200
 
@@ -24,14 +25,14 @@ class RosOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    live: str = Field(pattern="^wss?://")
+    live: Annotated[str, spelled("wss?://.+", WEBSOCKETS)]
     token: str | None
-    rosbridge: str = Field(pattern="^wss?://")
+    rosbridge: Annotated[str, spelled("wss?://.+", WEBSOCKETS)]
     robots: dict[str, str] = Field(min_length=1)
     navigate: str = Field(min_length=1)
     detections: str = Field(min_length=1)
     pose: str = Field(min_length=1)
-    detections_type: str = Field(pattern=r"^vision_msgs/msg/Detection[23]DArray$")
+    detections_type: Literal["vision_msgs/msg/Detection2DArray", "vision_msgs/msg/Detection3DArray"]
     labels: LocalPath | None
     frame: str = Field(min_length=1)
     search_time_s: float = Field(ge=0)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
+from mrtask.names import counted
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Map
 from pipeline.base.values import Section
@@ -158,7 +159,7 @@ class Asked(Section):
         """``100 trials a cell, small and large, 1 and 2 robots, by greedy and pouct``."""
         sizes, teams, planners = (_listed(map(str, of)) for of in (self.size_classes, self.robots, self.planners))
         plural = "" if self.robots == (1,) else "s"
-        return f"{self.trials_per_cell} trials a cell, {sizes}, {teams} robot{plural}, by {planners}"
+        return f"{counted(self.trials_per_cell, 'trial')} a cell, {sizes}, {teams} robot{plural}, by {planners}"
 
 
 class RunIdentity(Record):

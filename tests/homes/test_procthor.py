@@ -153,7 +153,7 @@ def test_bad_houses_are_refused_with_file_number_and_field(two_room_house, two_r
     if message is None:  # an unknown room in an id is no fault while the object stands in a room
         assert read(two_room_house, two_room_assets).containers[0].room_id == "room|2"
         return
-    with pytest.raises(HouseError, match=r"^file\.jsonl\.gz, home 7: " + message):
+    with pytest.raises(HouseError, match=r"^file\.jsonl\.gz, line 8: " + message):
         read(two_room_house, two_room_assets)
 
 
@@ -194,11 +194,11 @@ def test_damaged_files(tmp_path, two_room_house):
     cut.write_bytes(gzip.compress("".join(line.replace("Fridge", f"Fridge{n}") for n in range(200)).encode())[:-50])
     skipped = []
     with pytest.raises(
-        HouseError, match=r"cut\.jsonl\.gz, home \d+: the file is damaged or cut off after \d+ whole homes"
+        HouseError, match=r"cut\.jsonl\.gz, line \d+: the file is damaged or cut off after \d+ whole home"
     ):
         list(read_houses([cut], None, skipped.append))
     for name, content, problem in [
-        ("not.jsonl", "{'a': 1}\n", "not.jsonl, home 0: is not JSON"),
+        ("not.jsonl", "{'a': 1}\n", "not.jsonl, line 1: is not JSON"),
         ("empty.jsonl", "\n", "the file holds no house"),
         ("binary.jsonl", b"\xff\xfe\x00", "damaged"),
         ("plain.jsonl.gz", line, "damaged"),

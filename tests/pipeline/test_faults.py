@@ -61,7 +61,7 @@ def test_an_episode_that_raises_is_a_row_with_its_traceback(workspace: Workspace
         [last] = [line for line in said.splitlines() if "without a result" in line]
         assert last.endswith("6 of 24 episodes without a result: 6 error (mostly: ValueError: this planner has a bug)")
     again = cli("evaluate", *common, "evaluation.rerun=[error]", cwd=workspace.path)
-    assert "18 episodes are there already" in again.out
+    assert "there already: 18 episodes" in again.out
     assert cli("report", "output_dir=outputs/faulty", cwd=workspace.path).code == 0
 
 
@@ -125,7 +125,7 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(
     before = pd.read_parquet(target / "episodes")
     assert len(before) == 5
     resumed = cli("evaluate", *common, cwd=workspace.path)
-    assert resumed.code == 0 and "5 episodes are there already" in resumed.out
+    assert resumed.code == 0 and "there already: 5 episodes" in resumed.out
     pd.testing.assert_frame_equal(episodes(target), episodes(workspace.output_dir))
     after = pd.read_parquet(target / "episodes").merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
     assert (after["planning_s"] == after["planning_s_before"]).all() and len(after) == 5

@@ -102,6 +102,22 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
         100 * (1 - means["pouct"] / means["nonlearned_myopic"])
     )
     assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
+    all_rows = pd.read_parquet(workspace.output_dir / "episodes")
+    overall = all_rows.groupby("planner")["cost_cells"].mean()
+    assert metrics["pouct/all/percent_better_than_nonlearned_myopic"] == pytest.approx(
+        100 * (1 - overall["pouct"] / overall["nonlearned_myopic"])
+    )
+    low, high = (metrics[f"pouct/all/percent_better_than_nonlearned_myopic_{end}"] for end in ("low", "high"))
+    assert low < metrics["pouct/all/percent_better_than_nonlearned_myopic"] < high
+    assert metrics["pouct/all/decision_s"] > 0
+    assert evaluated.info.run_name == "paper" and "" not in evaluated.data.tags.values()
+    assert evaluated.data.tags["mlflow.note.content"].startswith("Over ")
+    [homes] = evaluated.inputs.dataset_inputs
+    profile = json.loads(homes.dataset.profile)
+    assert homes.dataset.name == "evaluation-homes" and profile["num_rows"] == 9
+    [model] = evaluated.inputs.model_inputs
+    assert champion.source == f"models:/{model.model_id}"
+    assert client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
     cost_s = pd.read_parquet(workspace.output_dir / "episodes").pivot(
         index="trial_id", columns="planner", values="cost_s"
     )
@@ -160,7 +176,7 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
     part.unlink()
     pq.write_table(pa.Table.from_pandas(kept, SCHEMA, preserve_index=False), part.with_name("part-kept.parquet"))
     done = cli("evaluate", *workspace.overrides, f"output_dir={copied_output}", cwd=workspace.path)
-    assert done.code == 0 and f"{len(kept)} episodes are there already" in done.out
+    assert done.code == 0 and f"there already: {len(kept)} episodes" in done.out
     pd.testing.assert_frame_equal(episodes(copied_output), whole)
     assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
 
@@ -194,7 +210,7 @@ def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     )
     assert done.code == 0
     assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
-    assert "faulty homes left out: 1; the first: others.jsonl.gz, home 0" in done.out
+    assert "faulty homes left out: 1; the first: others.jsonl.gz, line 1" in done.out
     assert evaluation_manifest(workspace.path / "outputs/others").homes.skipped == 1
 
 
@@ -317,7 +333,7 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     for name, said in [
         ("gone.jsonl", ["no such file", "gone.jsonl"]),
         ("cut.jsonl.gz", ["cut.jsonl.gz"]),
-        ("bare.jsonl", ["bare.jsonl, home 0", "no container"]),
+        ("bare.jsonl", ["bare.jsonl, line 1", "no container"]),
         ("other.jsonl", ["other.jsonl, home 0", "rooms"]),
         ("text.jsonl", ["text.jsonl, home 0"]),
     ]:

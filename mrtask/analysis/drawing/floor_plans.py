@@ -17,6 +17,7 @@ from shapely.geometry import Polygon as ShapelyPolygon
 from mrtask.homes.home import SIZE_CLASSES, Home, Point, Polygon, Room
 from mrtask.maps.home_map import HomeMap
 from mrtask.maps.ros_map import CellKind, ScannedFloor
+from mrtask.names import counted
 
 ROOM_COLORS: Mapping[str, str] = {
     "Bathroom": "#dcebf2",
@@ -134,7 +135,10 @@ def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figur
             members = [pair for pair in homes if pair[0].size_class == name]
             for ax, (home, home_map) in zip(line, members, strict=False):
                 draw_home(home, home_map, ax)
-                ax.set_title(f"{name}, {home.area_m2:.0f} m2, {len(home.containers)} containers", fontsize=ROOM_FONT_PT)
+                ax.set_title(
+                    f"{name}, {home.area_m2:.0f} m2, {counted(len(home.containers), 'container')}",
+                    fontsize=ROOM_FONT_PT,
+                )
             for ax in line[len(members) :]:
                 ax.set_axis_off()
     return figure

@@ -9,8 +9,8 @@ from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.by_template import templates_in_order
 from mrtask.analysis.report.for_papers import latex_text, markdown_text
 from mrtask.analysis.report.report_data import ReportData
-from mrtask.analysis.report.run_facts import Manifest, part
 from mrtask.analysis.results.episodes import size_classes_in_order
+from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.published import Published
 from mrtask.analysis.results.statistics import RESAMPLES, home_repeats, homes_of
 from mrtask.names import counted, listed

@@ -14,8 +14,8 @@ import pandas as pd
 
 from mrtask.analysis.page.style import NOTHING, planner_label, seconds
 from mrtask.analysis.page.tables import Entry, Row, Table
+from mrtask.analysis.results.manifest import Manifest, part
 
-Manifest = Mapping[str, Any]
 Fact = tuple[str, str]
 
 METRICS = {
@@ -51,12 +51,6 @@ def without_folders(value: Any, base: Path) -> Any:
 def _short(path: str, base: Path) -> str:
     inside = Path(path).is_relative_to(base) and Path(path) != base
     return str(Path(path).relative_to(base)) if inside else f".../{Path(path).name}"
-
-
-def part(manifest: Manifest, key: str) -> Manifest:
-    """A nested part of the manifest; empty where it is missing or no mapping."""
-    value = manifest.get(key)
-    return value if isinstance(value, Mapping) else {}
 
 
 def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:

@@ -21,13 +21,12 @@ from mrtask.analysis.page.charts import (
     with_band,
 )
 from mrtask.analysis.page.style import BLACK, GREY, house_style, planner_label, planner_looks, seconds
+from mrtask.analysis.results.episodes import BUDGET
 from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES, RULE
 from mrtask.analysis.results.statistics import Estimate, PairedCosts, decision_s, homes_of, paired_costs
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 
-BUDGET = "sample_budget"
-"""Column: the samples per decision that a planner may draw; NaN for a planner that draws none."""
 LEVEL_PLANNERS = (INFORMED_BASELINE, RULE, KNOWN)
 """Drawn as level lines beside the curves, where they ran."""
 MIN_TEAMS = 4

@@ -61,6 +61,12 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["planner.pouct.samples=-5"], ["pouct", "samples must be at least 1, not -5"]),
         (["+planner.pouct.smaples=5"], ["pouct", "smaples", "samples"]),
         (["+planner.puct.samples=5"], ["unknown planner 'puct'", "pouct"]),
+        (["evaluation.planners=[greedy,pouctt]"], ["unknown planner 'pouctt'; did you mean pouct? allowed: "]),
+        (["+planner_variants.eager={planner: pouctt}"], ["planner_variants.eager: ", "did you mean pouct?"]),
+        (["evaluation.size_classes=[smal]"], ["did you mean small? allowed: 'small', 'medium', 'large'"]),
+        (["evaluation.model_uri=champion"], ["evaluation.model_uri=champion: allowed: models:/NAME/VERSION, "]),
+        (["contents.sha256=abc"], ["contents.sha256=abc: allowed: 64 hexadecimal digits"]),
+        (["+planner_variants={a b: {planner: pouct}}"], ["allowed: names of letters, digits, _, - and :"]),
         (["evaluation.planners=[pouct,foo]"], ["evaluation.planners", "'foo'", *PLANNERS]),
         (["evaluation.planners=[greedy,greedy]"], ["evaluation.planners", "once"]),
         (["evaluation.planners=[no.such.module]"], ["no.such.module", "cannot be imported"]),
@@ -76,7 +82,7 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["evaluation.rerun=[failled]"], ["'error', 'timeout', 'failed'"]),
         (["map.resolution_m=-1"], ["map.resolution_m", "greater than 0"]),
         (["model.kind=transformer"], ["model.kind=transformer", *KINDS]),
-        (["cluster.address=nowhere"], ["cluster.address=nowhere"]),
+        (["cluster.address=nowhere"], ["cluster.address=nowhere: allowed: local, auto, ray://HOST:PORT or HOST:PORT"]),
         (["homes=procthor"], ["homes.files", "a value is needed"]),
         (["homes=procthor", "homes.files=[]"], ["homes.files"]),
         (["homes=ros_map", "homes.map=a.yaml"], ["homes.containers", "a value is needed"]),
@@ -99,6 +105,27 @@ def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: l
         configured(*overrides)
     for part in said:
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["evaluation.task=Mug", "evaluation.formula=F Mug"],
+        ["perception.true_positive_prob=0.1", "perception.false_positive_prob=0.2"],
+        [f"evaluation.cost={'x' * 500}"],
+    ],
+)
+def test_a_message_repeats_no_whole_section_and_no_long_value(overrides: list[str]) -> None:
+    with pytest.raises(UserError) as caught:
+        configured(*overrides)
+    assert len(str(caught.value)) < 250 and "{" not in str(caught.value)
+
+
+def test_a_variant_that_no_stage_runs_is_known() -> None:
+    variant = "+planner_variants.eager={planner: pouct, options: {exploration: 0.5}}"
+    assert configured(variant).idle_variants == ("eager",)
+    assert configured(variant, "evaluation.planners=[pouct,eager]").idle_variants == ()
+    assert configured(variant, "optimality.planners=[eager]").idle_variants == ()
 
 
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
