@@ -1,6 +1,6 @@
 """Random event streams against a live team, with what must hold whatever comes in.
 
-By hand: ``python -m tests.live.fuzz 10000``, which takes ten minutes of CPU time.
+By hand: ``python -m tests.live.fuzz 10000``, which takes an hour of CPU time; a second number is the first seed.
 """
 
 import json
@@ -10,11 +10,17 @@ import numpy as np
 
 from mrtask.execution.perception import Perception, Rates
 from mrtask.live.session import LiveSession
+from tests.live.useful import Useful
 
 KINDS = (
     "pose", "arrived", "navigation_failed", "search_ended", "object_seen", "interaction_ended", "robot_lost",
     "robot_joined", "route_blocked", "route_cleared",
 )  # fmt: skip
+
+
+PLANNERS = ("greedy", "learned_myopic", "nonlearned_myopic", "pouct", "pouct_paper")
+OPTIONS = {"pouct": {"samples": 25}, "pouct_paper": {"samples": 25}}
+FORMULAS = ("F Egg & F Pillow", "(!Pillow U Egg) & F Pillow", "F (Egg & X F Pillow)", "F Egg | F Pillow")
 
 
 class Stream:
@@ -25,7 +31,7 @@ class Stream:
         self.session = LiveSession(live)
         self.certain = live.setup.spec.perception.sees_all
         """Whether what was seen last is believed."""
-        self.found = {}  # (container, object) -> (time, present), the latest sight that was accepted
+        self.useful = Useful(live)
         self.time_s, self.count, self.sent = 0.0, 0, []
         self.rejected = 0
 
@@ -49,10 +55,13 @@ class Stream:
             if answer["type"] == "answer" and answer["status"] != "accepted":
                 assert answer["reason"], "a refusal without a reason"
                 self.rejected += answer["status"] == "rejected"
-        self.note_finds(line, answers)
+        more = self.note(line, answers)
         self.check_orders(news)
         self.check_ordered_again(line, answers, news)
         self.check_state()
+        for task in news:
+            if task["type"] == "task":
+                self.check_task(task, more)
 
     def event(self):
         rng, live = self.rng, self.live
@@ -121,39 +130,24 @@ class Stream:
             ]
         )  # fmt: skip
 
-    def note_finds(self, line, answers):
-        if not answers or answers[-1].get("status") != "accepted":
-            return
+    def note(self, line, answers):
+        """Take in what was accepted; whether more is to come at this instant."""
+        if not any(answer.get("status") == "accepted" for answer in answers):
+            return False
         content = json.loads(line)
         events = content["events"] if content["type"] == "batch" else [content]
         for event, answer in zip(events, answers, strict=True):
-            if answer["status"] != "accepted":
-                continue
-            if event["type"] == "object_seen" and event["object"] in self.live.setup.task.propositions:
-                self.find(event, event["object"], event.get("present", True))
-            if event["type"] == "search_ended" and event.get("status", "FINISHED") == "FINISHED":
-                for name in self.live.setup.task.propositions:
-                    seen = [one if isinstance(one, str) else one["object"] for one in event.get("objects", ())]
-                    self.find(event, name, name in seen)
-            if event["type"] in ("interaction_ended", "navigation_failed", "search_ended"):
-                failed = event["type"] == "navigation_failed" or event.get("status") == "FAILED"
-                if failed:  # what fails too often is given up, but older sights stay older
-                    for name in self.live.setup.task.propositions:
-                        if (key := (event["container"], name)) in self.found:
-                            looked_s = event["time_s"] if event.get("gone") else -1.0
-                            self.found[key] = (max(self.found[key][0], looked_s), None)
-
-    def find(self, event, name, present):
-        key = event["container"], name
-        if event["time_s"] >= self.found.get(key, (-1.0, None))[0]:
-            self.found[key] = (event["time_s"], present)
+            if answer["status"] == "accepted":
+                self.useful.take(event)
+        return content.get("more", False)
 
     def check_state(self):
         live, team = self.live, self.live.team
         belief = team.belief
         assert ((belief.posterior >= 0) & (belief.posterior <= 1)).all()
-        sights = {key: present for key, (_, present) in self.found.items() if present is not None}
-        for (container, name), present in sights.items() if self.certain else ():
+        for (container, name), (_, present) in self.useful.found.items() if self.certain else ():
+            if name not in live.setup.task.propositions:
+                continue
             obj = live.setup.task.propositions.index(name)
             assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         told = np.where(belief.searched[:, None], belief.detected & (belief.posterior >= 0.5), belief.posterior)
@@ -164,6 +158,12 @@ class Stream:
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
         assert team.state != team.automaton.sink
         assert len(live.names) == len(team.robots) == len(live.heard_s)
+
+    def check_task(self, task, more):
+        """Nobody is stuck while something useful can be reached, or while more of this instant is to come."""
+        if task["status"] == "stuck":
+            assert not more, "stuck before all of this instant is known"
+            assert not (options := self.useful.options()), f"stuck, although {options[0]}"
 
     def check_ordered_again(self, line, answers, news):
         """Whoever ended what it was to do is told what to do next, even if that is the same."""
@@ -207,19 +207,23 @@ def main(count, first=0):
 
     home = parse_house(make_two_room_house(), ASSETS, "two-rooms", 0)
     home_map = build_map(home)
-    planners = ("greedy", "learned_myopic", "nonlearned_myopic")
-    events = rejected = 0
+    events = rejected = failed = 0
     for seed in range(first, first + count):
         perception = Perception(Rates(0.7, 0.1)) if seed % 4 == 3 else None
-        live = two_robots(home, home_map, planners[seed % 3], perception=perception)
-        stream = Stream(live, seed, [door.id for door in home.doors]).run(30)
+        formula = FORMULAS[seed // 5 % len(FORMULAS)]
+        live = two_robots(home, home_map, PLANNERS[seed % 5], formula, perception=perception, options=OPTIONS)
+        stream = Stream(live, seed, [door.id for door in home.doors])
+        try:
+            stream.run(30)
+        except AssertionError as error:
+            failed += 1
+            print(f"seed {seed}, {PLANNERS[seed % 5]}, {formula}, event {stream.count}: {error}", flush=True)
         events, rejected = events + stream.count, rejected + stream.rejected
-        if (seed + 1) % 500 == 0:
-            print(f"up to {seed + 1}", flush=True)
-    print(f"{count} streams, {events} events, {rejected} refusals", flush=True)
+    print(f"{count} streams from {first}, {events} events, {rejected} refusals, {failed} failed", flush=True)
+    return failed
 
 
 if __name__ == "__main__":
     import sys
 
-    main(*map(int, sys.argv[1:]))
+    sys.exit(main(*map(int, sys.argv[1:])) > 0)

@@ -44,12 +44,12 @@ def live(two_room_home, two_room_map):
     return two_robots(two_room_home, two_room_map)
 
 
-def two_robots(home, home_map, planner="greedy", formula="F Egg & F Pillow", likely=(), perception=None):
+def two_robots(home, home_map, planner="greedy", formula="F Egg & F Pillow", likely=(), perception=None, options=None):
     """Both in the kitchen; the egg is in the fridge, the pillow on the bed."""
     task = ReadTask(formula, ("Egg", "Pillow"))
     likelihood = np.array([[0.5 if container.id in likely else 0.2] * 2 for container in home.containers])
     spec = RobotSpec(1.0, 2.0, 2.0, perception or Perception())
-    setup = LiveSetup(home, home_map, formula, task, likelihood, spec, planner)
+    setup = LiveSetup(home, home_map, formula, task, likelihood, spec, planner, (options or {}).get(planner, {}))
     return LiveTeam(setup, {"r1": (1.5, 1.5), "r2": (2.5, 1.5)})
 
 
