@@ -41,7 +41,9 @@ class LiveTeam(LiveState):
             raise InputError(f"planner {setup.planner!r} knows all contents, which nobody does here; give another")
 
     def begin(self) -> list[m.Outgoing]:
-        """Make the first decision, or the next one after a restart."""
+        """Compile what the planner needs, and make the first decision, or the next one after a restart."""
+        if self.team.active:
+            self.planner.warm_up(self.team.problem())
         return self._go_on(decide=True)
 
     def handle(self, events: Sequence[Any], *, more: bool = False) -> list[m.Outgoing]:
@@ -67,29 +69,71 @@ class LiveTeam(LiveState):
         if event.id in self.ids:
             return m.Answer(event=event.id, status="duplicate", reason="an event of this id was taken in before")
         before_s = self.team.time_s
+        back = ""
         try:
             if event.time_s > before_s + MAX_AHEAD_S:
                 raise Refused(f"its time_s is more than {MAX_AHEAD_S:g} s ahead of all before; is its clock right?")
             self.team.time_s = max(before_s, event.time_s)
+            if event.type != "interaction_ended":  # it may still end what it was doing
+                back = self._welcome_back(event)
             note = HANDLERS[event.type](self, event)
+            back = back or self._welcome_back(event)
         except Refused as refused:
-            self.team.time_s = before_s
-            return m.Answer(event=event.id, status="rejected", reason=str(refused))
+            if not back:
+                self.team.time_s = before_s
+                return m.Answer(event=event.id, status="rejected", reason=str(refused))
+            note = str(refused)
+        self._heard(event)
+        note = "; ".join(part for part in (back, note) if part)
         self.ids[event.id] = None
         if len(self.ids) > IDS_KEPT:
             del self.ids[next(iter(self.ids))]
-        return m.Answer(event=event.id, status="accepted", reason=note or "")
+        return m.Answer(event=event.id, status="accepted", reason=note)
+
+    def _heard(self, event: Any) -> None:
+        """Note who spoke; before the first word of all, nobody was late."""
+        if not self.ids:
+            self.spoke_s = [self.team.time_s] * len(self.names)
+        if getattr(event, "robot", None) in self.names:
+            self.spoke_s[self.number(event.robot)] = self.team.time_s
+
+    def _welcome_back(self, event: Any) -> str:
+        """Take a robot that had fallen silent into the team again, where it should be by what it last said."""
+        name = getattr(event, "robot", None)
+        number = self.names.index(name) if name in self.names else -1
+        if number not in self.silent or event.type == "robot_joined":
+            return ""
+        robot = self.team.robots[number]
+        self.team.join(robot.position, robot)
+        robot.home_map = self.map_at(robot.position)
+        self.silent.discard(number)
+        self.surprise = True
+        return f"{name} is back in the team"
+
+    def _miss_the_silent(self) -> None:
+        """Take the robots out of the team that are overdue; others may take over what they were to do."""
+        for number in self.present:
+            if self.overdue_s(number) <= self.team.time_s:
+                self.team.lose(self.team.robots[number])
+                self.silent.add(number)
+                self.surprise = True
 
     def _go_on(self, *, decide: bool) -> list[m.Outgoing]:
         team = self.team
+        self.more = not decide
         if self.ended:
             team.interactions_ended([team.robots[number] for number in sorted(self.ended)])
             self.ended = []
+        for number in self.present:
+            self._leave_barriers(number)
+        if decide:
+            self._miss_the_silent()
+        team.withdraw_interactions()
         team.start_interactions()
         if decide:
             team.release()
             freed = any(team.robots[number].free for number in self.busy)
-            if (freed or self.surprise) and not team.accepted:
+            if (freed or self.surprise or self._may_go_on()) and not team.accepted:
                 self._decide()
             self.busy = {number for number, robot in enumerate(team.robots) if not (robot.free or robot.lost)}
             self.surprise = False
@@ -103,8 +147,31 @@ class LiveTeam(LiveState):
                     orders.append(order_of(self, number))
         return [*orders, task_state(self)]
 
+    def _leave_barriers(self, number: int) -> None:
+        """Hold a robot by the barriers out of which it has driven."""
+        robot = self.team.robots[number]
+        if robot.home_map is not self.team.home_map:
+            own_map = self.map_at(robot.position_at(self.team.time_s))
+            if own_map is not robot.home_map:
+                self.team.take_own_map(robot, own_map)
+
+    def _may_go_on(self) -> bool:
+        """Return whether robots without work may find some now, although nothing happened that calls for a decision.
+
+        That is where one may try again what it failed at, and where everybody waits.
+        """
+        robots = [self.team.robots[number] for number in self.present]
+        again = any(
+            self.decided_s < setback.until_s <= self.team.time_s
+            for robot in robots
+            if robot.free
+            for setback in robot.setbacks.by.values()
+        )
+        return again or all(robot.free for robot in robots)
+
     def _decide(self) -> None:
         team = self.team
+        self.decided_s = team.time_s
         problem = team.problem() if team.active else None
         if problem is None or not problem.deciders("all"):
             return

@@ -15,8 +15,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from mrtask.errors import InputError
 from mrtask.execution.acts import Act, ActKind
 from mrtask.execution.motion import Position, plan_route
+from mrtask.execution.setbacks import Setback, Setbacks
 from mrtask.execution.trace import Leg, Letter
-from mrtask.live.barriers import Barrier, barred_map
+from mrtask.live.barriers import Barrier
 from mrtask.live.live_team import LiveTeam
 from mrtask.live.state import LiveSetup
 from mrtask.planning.problem import Assignment
@@ -46,6 +47,11 @@ class _Robot(_Part):
     under_way: bool
     passed: tuple[tuple[float, float], ...]
     obj: int
+    setbacks: tuple[tuple[int, int, int, float], ...] = ()
+    """(container, what failed, how often, when last)"""
+    spoke_s: float = 0.0
+    silent: bool = False
+    beating: bool = False
     legs: tuple[Leg, ...]
 
 
@@ -63,7 +69,6 @@ class _State(_Part):
     seen_s: tuple[tuple[float | None, ...], ...]
     robots: tuple[_Robot, ...]
     letters: tuple[Letter, ...]
-    failures: tuple[tuple[int, int, int], ...]
     barriers: dict[str, Barrier]
     start: tuple[float, float]
     decisions: int
@@ -73,6 +78,7 @@ class _State(_Part):
     busy: tuple[int, ...]
     ended: tuple[int, ...]
     surprise: bool
+    decided_s: float = 0.0
     ids: tuple[str, ...]
 
 
@@ -104,9 +110,13 @@ def save(live: LiveTeam) -> str:
             under_way=robot.route is not None,
             passed=robot.passed,
             obj=robot.act.obj,
+            setbacks=tuple((*key, setback.count, setback.last_s) for key, setback in robot.setbacks.by.items()),
+            spoke_s=live.spoke_s[number],
+            silent=number in live.silent,
+            beating=number in live.beating,
             legs=tuple(robot.legs),
         )
-        for name, heard_s, robot in zip(live.names, live.heard_s, team.robots, strict=True)
+        for number, (name, heard_s, robot) in enumerate(zip(live.names, live.heard_s, team.robots, strict=True))
     ]
     return _State(
         version=STATE_VERSION,
@@ -122,7 +132,6 @@ def save(live: LiveTeam) -> str:
         seen_s=tuple(tuple(float(at) if np.isfinite(at) else None for at in row) for row in live.seen_s),
         robots=tuple(robots),
         letters=tuple(team.letters),
-        failures=tuple((*key, count) for key, count in belief.failures.items()),
         barriers=live.barriers,
         start=team.start,
         decisions=live.decisions,
@@ -132,6 +141,7 @@ def save(live: LiveTeam) -> str:
         busy=tuple(sorted(live.busy)),
         ended=tuple(live.ended),
         surprise=live.surprise,
+        decided_s=live.decided_s,
         ids=tuple(live.ids),
     ).model_dump_json()
 
@@ -159,11 +169,9 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
     belief.presence_prob = np.array(state.presence_prob, dtype=float).reshape(shape)
     belief.posterior = np.array(state.posterior, dtype=float).reshape(shape)
     belief.detected = np.array(state.detected, dtype=bool).reshape(shape)
-    belief.failures = {(container, obj): count for container, obj, count in state.failures}
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version
-    if live.barriers:
-        team.use_map(barred_map(setup.home_map, list(live.barriers.values())))
+    team.use_map(live.barred(tuple(live.barriers.values())))
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
     team.letters = list(state.letters)
     team.robots = [
@@ -174,14 +182,20 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
             assignment=Assignment(one.container, one.interaction),
             since_s=one.since_s,
             moved_s=one.moved_s,
-            route=plan_route(team.home_map, one.position, one.container) if one.under_way else None,
+            home_map=live.map_at(one.position),
+            route=plan_route(live.map_at(one.position), one.position, one.container) if one.under_way else None,
             passed=one.passed,
             legs=list(one.legs),
+            setbacks=Setbacks({(at, what): Setback(count, last_s) for at, what, count, last_s in one.setbacks}),
         )
         for one in state.robots
     ]
     live.heard_s = [one.heard_s for one in state.robots]
+    live.spoke_s = [one.spoke_s for one in state.robots]
+    live.silent = {number for number, one in enumerate(state.robots) if one.silent}
+    live.beating = {number for number, one in enumerate(state.robots) if one.beating}
     live.decisions, live.orders, live.told = state.decisions, state.orders, dict(state.told)
     live.busy, live.ended, live.surprise = set(state.busy), list(state.ended), state.surprise
+    live.decided_s = state.decided_s
     live.ids = dict.fromkeys(state.ids)
     return live
