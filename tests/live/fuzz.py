@@ -5,6 +5,7 @@ By hand: ``python -m tests.live.fuzz 10000``, which takes an hour of CPU time; a
 
 import json
 import random
+from itertools import permutations
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tests.live.useful import Useful
 
 KINDS = (
     "pose", "arrived", "navigation_failed", "search_ended", "object_seen", "interaction_ended", "robot_lost",
-    "robot_joined", "route_blocked", "route_cleared",
+    "robot_joined", "route_blocked", "route_cleared", "heartbeat", "clock", "try_again",
 )  # fmt: skip
 
 
@@ -39,6 +40,7 @@ class Stream:
         self.check_orders([json.loads(line) for line in self.session.begin()])
         for _ in range(length):
             self.step()
+        self.check_wakes()
         return self
 
     def step(self):
@@ -47,9 +49,12 @@ class Stream:
         if self.sent and rng.random() < 0.1:
             line = rng.choice(self.sent)
         self.sent = [*self.sent[-20:], line]
+        self.send(line)
+
+    def send(self, line):
         answers, news = self.session.receive(line)
         answers, news = [json.loads(one) for one in answers], [json.loads(one) for one in news]
-        if not line.startswith('{"type": "hello"'):
+        if not line.startswith('{"type": "hello"') and '"events": []' not in line:
             assert answers and all(one["type"] == "answer" for one in answers), "an event without an answer"
         for answer in answers:
             if answer["type"] == "answer" and answer["status"] != "accepted":
@@ -66,7 +71,7 @@ class Stream:
     def event(self):
         rng, live = self.rng, self.live
         self.count += 1
-        self.time_s += rng.choice([0.0, 0.5, 2.0])
+        self.time_s += rng.choice([0.0, 0.5, 2.0, rng.choice([0.5, 2.0, 10.0, 70.0])])
         kind = rng.choice(KINDS)
         late_s = rng.choice([0.0, 0.0, 0.0, 1.0, 5.0])
         event = {"type": kind, "id": f"i{self.count}", "time_s": max(self.time_s - late_s, 0.0)}
@@ -77,7 +82,7 @@ class Stream:
             place = robot.assignment.container if robot.moving else robot.place
             container = live.team.containers[place] if place >= 0 else container
         objects = [*live.setup.task.propositions, "Spoon"]
-        place = {"x_m": rng.uniform(-1, 9), "y_m": rng.uniform(-1, 5)}
+        place = self.place()
         event |= {
             "pose": {"robot": live.names[index], **place},
             "arrived": {"robot": live.names[index], "container": container},
@@ -103,14 +108,34 @@ class Stream:
             },
             "robot_lost": {"robot": live.names[index]},
             "robot_joined": {"robot": rng.choice([*live.names, "new"]), **place},
-            "route_blocked": rng.choice([{"door": rng.choice(self.doors or ["none"])}, {**place, "radius_m": 0.4}]),
-            "route_cleared": rng.choice([{"door": rng.choice(self.doors or ["none"])}, place]),
+            "route_blocked": rng.choice(
+                [{"door": rng.choice(self.doors or ["none"])}, {**place, "radius_m": rng.uniform(0.1, 1.0)}]
+            ),
+            "route_cleared": rng.choice([{"door": rng.choice(self.doors or ["none"])}, self.blocked() or place]),
+            "heartbeat": {"robot": live.names[index]},
+            "clock": {},
+            "try_again": rng.choice([{}, {"robot": live.names[index]}, {"container": container}]),
         }[kind]
         if rng.random() < 0.1:  # contradictory or unknown
             event[rng.choice(list(event))] = rng.choice([None, "nobody", -1.0, 1e300, [], {}, True, "x" * 300])
         if rng.random() < 0.1:
             return {"type": "batch", "events": [event], "more": rng.random() < 0.5}
         return event
+
+    def place(self):
+        """Anywhere, or where something is going on: at a robot, at a container, in a barrier."""
+        rng, grid = self.rng, self.live.team.home_map
+        robot = rng.choice(self.live.team.robots)
+        cells = [robot.position_at(self.live.team.time_s).back, rng.choice(self.live.setup.home_map.access.tolist())]
+        spots = [grid.cell_center(tuple(cell)) for cell in cells if cell[0] >= 0]
+        spots += [barrier.start for barrier in self.live.barriers.values()]
+        x_m, y_m = rng.choice([(rng.uniform(-1, 9), rng.uniform(-1, 5)), *spots])
+        return {"x_m": x_m, "y_m": y_m}
+
+    def blocked(self):
+        """Some place that is blocked."""
+        places = [one.start for key, one in self.live.barriers.items() if key.startswith("place")]
+        return dict(zip(("x_m", "y_m"), self.rng.choice(places), strict=True)) if places else None
 
     def detection(self, name):
         if self.rng.random() < 0.5:
@@ -157,13 +182,41 @@ class Stream:
             assert np.allclose(belief.presence_prob, told, atol=1e-3)
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
         assert team.state != team.automaton.sink
+        acts = [robot.act.obj for robot in team.robots if robot.act.kind == "interact"]
+        assert not acts or any(self.all_count(order, team) for order in permutations(acts)), "two for one letter"
         assert len(live.names) == len(team.robots) == len(live.heard_s)
+
+    @staticmethod
+    def all_count(order, team):
+        state = team.state
+        for obj in order:
+            if not team.automaton.advancing[state, obj]:
+                return False
+            state = team.automaton.transitions[state, obj]
+        return True
 
     def check_task(self, task, more):
         """Nobody is stuck while something useful can be reached, or while more of this instant is to come."""
         if task["status"] == "stuck":
             assert not more, "stuck before all of this instant is known"
             assert not (options := self.useful.options()), f"stuck, although {options[0]}"
+        elif task["status"] == "running" and not more and not self.acting():
+            assert task["reason"], "nobody acts, and nobody knows why"
+            assert task["wake_s"] > task["time_s"], "a team that nothing wakes"
+
+    def check_wakes(self):
+        """A team that waits to try something again does so when it said."""
+        live = self.live
+        self.send('{"type": "batch", "events": []}')
+        if live.team.accepted or self.acting() or not live.left_alone():
+            return
+        wake_s = live.left_alone()[0][0]
+        self.send(json.dumps({"type": "clock", "id": "wake", "time_s": wake_s}))
+        assert self.acting() or not live.present, "it does not try again"
+
+    def acting(self):
+        """The robots that have something to do."""
+        return [robot for robot in self.live.team.robots if not (robot.free or robot.lost)]
 
     def check_ordered_again(self, line, answers, news):
         """Whoever ended what it was to do is told what to do next, even if that is the same."""
@@ -185,11 +238,11 @@ class Stream:
             assert not robot.lost, "an order for a robot that is lost"
             if order["action"] == "navigate":
                 container = live.containers[order["container"]]
-                reached = team.home_map.cell_center(tuple(team.home_map.access[container]))
+                reached = team.home_map.cell_center(tuple(live.setup.home_map.access[container]))
                 assert np.allclose(order["route"][-1], reached), "a route that ends elsewhere"
-                grid = team.home_map
-                cells = [cell for cell in robot.route.cells]
-                assert all(grid.free[cell] for cell in cells), "a route through what is blocked"
+                cells = robot.route.cells
+                blocked = [area for area in self.useful.barriers.values() if not any(area[cell] for cell in cells[:2])]
+                assert not any(area[cell] for area in blocked for cell in cells), "a route through what is blocked"
             if order["action"] == "interact":
                 obj = live.setup.task.propositions.index(order["object"])
                 assert team.belief.presence_prob[live.containers[order["container"]], obj] > 0, (

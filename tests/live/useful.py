@@ -45,6 +45,8 @@ class Useful:
         elif kind == "route_cleared":
             self.barriers.pop(self._key(event))
             self._forgive(None, "navigation_failed")
+        elif kind == "try_again" and event.get("robot") is None:
+            self._forgive(container, "navigation_failed", "search_ended", "interaction_ended")
 
     def options(self):
         """What each robot could do, in words."""
