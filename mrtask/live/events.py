@@ -30,7 +30,7 @@ KNOWN_ALREADY = "known already"
 def _pose(live: LiveState, event: m.Pose) -> str | None:
     robot, number = live.robot(event.robot), live.number(event.robot)
     if event.time_s < live.heard_s[number]:
-        raise Refused(f"a later pose of {event.robot} is known, of {live.heard_s[number]:g} s")
+        raise Refused(f"a later pose of {event.robot} is known, of {live.stamp_s(live.heard_s[number]):.10g} s")
     position = live.position(event.x_m, event.y_m)
     live.heard_s[number] = event.time_s
     moving = robot.moving
@@ -109,7 +109,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
         return None
     fresh = live.seen_s[container] <= event.time_s
     if not searching and not fresh.any():
-        raise Refused(f"{event.container} was seen later, at {live.seen_s[container].min():g} s")
+        raise Refused(f"{event.container} was seen later, at {live.stamp_s(live.seen_s[container].min()):.10g} s")
     live.seen_s[container, fresh] = event.time_s
     if arriving:
         live.team.arrived(robot)
@@ -142,7 +142,9 @@ def _object_seen(live: LiveState, event: m.ObjectSeen) -> str | None:
     if obj is None:
         return "no object of the task"
     if event.time_s < live.seen_s[container, obj]:
-        raise Refused(f"it was seen later whether {event.object} is there, at {live.seen_s[container, obj]:g} s")
+        raise Refused(
+            f"it was seen later whether {event.object} is there, at {live.stamp_s(live.seen_s[container, obj]):.10g} s"
+        )
     live.seen_s[container, obj] = event.time_s
     seen = event.confidence if event.present else 1.0 - event.confidence
     live.surprise |= live.team.glimpsed(container, obj, seen)

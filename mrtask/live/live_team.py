@@ -4,6 +4,7 @@
 something unexpected happened, and gives the orders that changed (`mrtask.live.orders`).
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,13 +16,11 @@ from mrtask.homes.home import Point
 from mrtask.live import messages as m
 from mrtask.live.events import HANDLERS
 from mrtask.live.orders import order_key, order_of, task_state
-from mrtask.live.state import LiveSetup, LiveState, Refused
+from mrtask.live.state import EventKey, LiveSetup, LiveState, Refused
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT, Assignment
 
-MAX_AHEAD_S = 86_400.0
-"""An event this far ahead of all earlier ones has a wrong clock."""
-IDS_KEPT = 100_000
+DIGEST_LENGTH = 16
 
 
 class LiveTeam(LiveState):
@@ -46,17 +45,19 @@ class LiveTeam(LiveState):
             self.planner.warm_up(self.team.problem())
         return self._go_on(decide=True)
 
-    def handle(self, events: Sequence[Any], *, more: bool = False) -> list[m.Outgoing]:
+    def handle(self, events: Sequence[Any], *, more: bool = False, client: str = "") -> list[m.Outgoing]:
         """Handle the events of one instant.
 
         Args:
             events: models of `mrtask.live.messages.Event`.
             more: whether another batch of this instant follows, so that no robot is sent anywhere yet.
+            client: the name of the client that sent them; ids are its own. Events of clients without a name are the
+                same if their id and their content are.
 
         Returns:
             One `Answer` for each event, then the orders that changed, and the task's state if anything changed.
         """
-        answers = [self._answer(event) for event in events]
+        answers = [self._answer(event, client) for event in events]
         if answers and all(answer.status != "accepted" for answer in answers):
             return [*answers]
         return [*answers, *self._go_on(decide=not more)]
@@ -65,30 +66,32 @@ class LiveTeam(LiveState):
         """Return the orders in force, as if they were given now."""
         return [order_of(self, number) for number in self.present]
 
-    def _answer(self, event: Any) -> m.Answer:
-        if event.id in self.ids:
-            return m.Answer(event=event.id, status="duplicate", reason="an event of this id was taken in before")
-        before_s = self.team.time_s
-        back = ""
+    def _answer(self, event: Any, client: str) -> m.Answer:
+        key = event_key(event, client)
+        if key in self.ids or ("", event.id) in self.ids:
+            return m.Answer(event=event.id, status="duplicate", reason="this event was taken in before")
+        before_s, zero_s = self.team.time_s, self.clock.zero_s
+        if not self.ids:
+            self.clock.begin(event.time_s, before_s)
+        sender = getattr(event, "robot", None) or client
+        due_s = max((robot.act.until_s for robot in self.team.robots if robot.act.until_s < np.inf), default=before_s)
+        time_s, doubt = self.clock.time_s(event.time_s, before_s, due_s, sender, alone=len(self.present) == 1)
+        back, note = "", None
         try:
-            if event.time_s > before_s + MAX_AHEAD_S:
-                raise Refused(f"its time_s is more than {MAX_AHEAD_S:g} s ahead of all before; is its clock right?")
-            self.team.time_s = max(before_s, event.time_s)
+            self.team.time_s = max(before_s, time_s)
             if event.type != "interaction_ended":  # it may still end what it was doing
                 back = self._welcome_back(event)
-            note = HANDLERS[event.type](self, event)
+            note = HANDLERS[event.type](self, event.model_copy(update={"time_s": time_s}))
             back = back or self._welcome_back(event)
         except Refused as refused:
             if not back:
                 self.team.time_s = before_s
+                self.clock.zero_s = self.clock.zero_s if self.ids else zero_s
                 return m.Answer(event=event.id, status="rejected", reason=str(refused))
             note = str(refused)
         self._heard(event)
-        note = "; ".join(part for part in (back, note) if part)
-        self.ids[event.id] = None
-        if len(self.ids) > IDS_KEPT:
-            del self.ids[next(iter(self.ids))]
-        return m.Answer(event=event.id, status="accepted", reason=note)
+        self.take_in(key)
+        return m.Answer(event=event.id, status="accepted", reason="; ".join(filter(None, (back, note, doubt))))
 
     def _heard(self, event: Any) -> None:
         """Note who spoke; before the first word of all, nobody was late."""
@@ -187,3 +190,10 @@ class LiveTeam(LiveState):
         team.assign(assignments)
         team.start_interactions()
         team.release()
+
+
+def event_key(event: Any, client: str) -> EventKey:
+    """Return what tells an event from all others."""
+    if client:
+        return (f"client {client}", event.id)
+    return (hashlib.sha256(event.model_dump_json(exclude_defaults=True).encode()).hexdigest()[:DIGEST_LENGTH], event.id)

@@ -4,17 +4,21 @@ The messages are easy to map to what fleets speak. An order is one action of one
 a VDA 5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's
 NavigateToPose: SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the
 previous one. Every event has an ``id`` that the sender chose and the time at which it happened, in seconds on one clock
-for all.
+for all, such as ROS or Unix time.
+
+Fields that a message is not known to have are ignored, and later versions only add optional ones, so that clients and
+live teams of different age understand each other.
 """
 
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 MAX_NAME = 200
 MAX_LISTED = 1000
-MAX_TIME_S = 1e9
+MAX_TIME_S = 1e11
+"""Room for Unix time in seconds; one in milliseconds is a mistake."""
 MAX_METRES = 1e6
 
 Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
@@ -27,7 +31,7 @@ Outcome = Literal["FINISHED", "FAILED"]
 class Message(BaseModel):
     """Anything on the wire."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
 
 class _Event(Message):
@@ -191,6 +195,8 @@ class Hello(Message):
     type: Literal["hello"]
     version: int = PROTOCOL_VERSION
     token: str | None = Field(default=None, max_length=MAX_NAME)
+    client: Name | None = None
+    """The client's name, the same after a break: then ids need to be unique among its own events only."""
 
 
 _Incoming = _Events | Batch | Hello

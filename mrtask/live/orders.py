@@ -60,21 +60,27 @@ def task_state(live: LiveState) -> m.TaskState:
     """Return the task's progress."""
     team = live.team
     word = tuple(
-        m.Letter(time_s=letter.t_s, robot=live.names[letter.robot], object=letter.object, container=letter.container)
+        m.Letter(
+            time_s=live.stamp_s(letter.t_s),
+            robot=live.names[letter.robot],
+            object=letter.object,
+            container=letter.container,
+        )
         for letter in team.letters
     )
+    time_s = live.stamp_s(team.time_s)
     if team.accepted:
-        return m.TaskState(status="done", time_s=team.time_s, word=word)
+        return m.TaskState(status="done", time_s=time_s, word=word)
     acting = any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots)
     waiting = [] if acting or live.more else live.left_alone()
     stuck = not acting and not live.more and all(setback.count >= OFTEN for *_, setback in waiting)
     return m.TaskState(
         status="stuck" if stuck else "running",
-        time_s=team.time_s,
+        time_s=time_s,
         word=word,
         reason="; ".join([*([_why_stuck(live)] if stuck and not waiting else []), *_awaited(live, waiting)]),
         silent=tuple(live.names[number] for number in sorted(live.silent)),
-        wake_s=live.wake_s if np.isfinite(live.wake_s) else None,
+        wake_s=live.stamp_s(live.wake_s) if np.isfinite(live.wake_s) else None,
     )
 
 
@@ -104,7 +110,7 @@ def _awaited(live: LiveState, waiting: Sequence[tuple[float, int, int, Setback]]
     """Return, in words, what robots failed at and when they try it again."""
     return [
         f"{live.names[number]} failed {setback.count} x at {live.team.containers[container]} and tries again from "
-        f"{until_s:g} s on (route_cleared and try_again make it sooner)"
+        f"{live.stamp_s(until_s):.10g} s on (route_cleared and try_again make it sooner)"
         for until_s, number, container, setback in waiting[:REASONS_SHOWN]
     ]
 

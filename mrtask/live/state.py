@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
 from mrtask.live.barriers import Barrier, barred_map, doorways
+from mrtask.live.clock import TeamClock
 from mrtask.maps.home_map import HomeMap
 from mrtask.names import name_to_text
 from mrtask.tasks.automaton import build_automaton
@@ -27,6 +29,9 @@ POSE_REACH_M = 1.0
 """A robot may report a place this far off the free floor."""
 LOST_AFTER_S = 60.0
 NAMES_SHOWN = 20
+IDS_KEPT = 100_000
+EventKey = tuple[str, str]
+"""Whose event it is, and its id: the client's name, or, of a client without one, a digest of the event."""
 
 
 class Refused(Exception):
@@ -84,8 +89,11 @@ class LiveState:
         self._maps: dict[tuple[Barrier, ...], HomeMap] = {}
         self.decisions = self.orders = self.map_version = 0
         self.barriers: dict[str, Barrier] = {}
-        self.ids: dict[str, None] = {}
-        """The ids of the accepted events, the last one at the end."""
+        self.clock = TeamClock()
+        self.ids: dict[EventKey, None] = {}
+        """The keys of the latest accepted events, the last one at the end."""
+        self.taken = 0
+        """How many events were accepted since the start of this process."""
         self.seen_s = np.full(setup.likelihood.shape, -np.inf)
         """[C, O] when the team last saw whether the object is there."""
         self.heard_s = [0.0] * len(self.names)
@@ -112,7 +120,26 @@ class LiveState:
     @property
     def last_event(self) -> str | None:
         """The id of the last accepted event."""
-        return next(reversed(self.ids), None)
+        return next((event for _, event in reversed(self.ids)), None)
+
+    def ids_since(self, taken: int) -> list[EventKey]:
+        """Return the keys of the events that were accepted after so many."""
+        return list(islice(reversed(self.ids), self.taken - taken))[::-1]
+
+    def ids_until(self, taken: int) -> list[EventKey]:
+        """Return the keys of all events but those that were accepted after so many."""
+        return list(islice(self.ids, len(self.ids) - (self.taken - taken)))
+
+    def take_in(self, key: EventKey) -> None:
+        """Note that an event was accepted."""
+        self.ids[key] = None
+        self.taken += 1
+        if len(self.ids) > IDS_KEPT:
+            del self.ids[next(iter(self.ids))]
+
+    def stamp_s(self, time_s: float) -> float:
+        """Return a time of the team on the clock that its robots' stamps count on."""
+        return time_s + self.clock.zero_s
 
     @property
     def present(self) -> list[int]:

@@ -18,6 +18,7 @@ from mrtask.live.live_team import LiveTeam
 from mrtask.live.messages import Event
 from mrtask.live.orders import task_state, welcome
 from mrtask.live.state import LiveSetup
+from mrtask.live.state_file import read_state
 from mrtask.live.store import StateError, restore, save
 from mrtask.maps.home_map import build_map
 from mrtask.tasks.words import ReadTask
@@ -474,8 +475,67 @@ def test_late_repeated_and_reordered_events(live):
     assert live.team.belief.presence_prob[live.containers[place], 0] == 0.0
     other, _ = one(live, "arrived", 4.0, robot="r1", container="nowhere")
     assert other.status == "rejected" and place in other.reason
-    early, _ = one(live, "pose", 1e8, robot="r1", x_m=1.0, y_m=1.5)
-    assert early.status == "rejected" and "clock" in early.reason
+
+
+UNIX_S = 1.76e9
+
+
+@pytest.mark.parametrize("now_s", [2 * 86_400.0, UNIX_S], ids=["uptime of two days", "Unix"])
+def test_senders_may_count_on_any_clock(two_room_home, two_room_map, now_s):
+    live = two_robots(two_room_home, two_room_map)
+    begin(live)
+    place = target_of(live, "r1")
+    for time_s, kind, fields in ((1.0, "arrived", {}), (3.0, "search_ended", {"objects": ["Egg"]})):
+        answer, _ = one(live, kind, now_s + time_s, robot="r1", container=place, **fields)
+        assert (answer.status, answer.reason) == ("accepted", "")
+    assert live.team.time_s == 2.0, "the team's time begins with the first event"
+    assert task_state(live).time_s == now_s + 3.0, "what it says is on the senders' clock"
+    older, _ = one(live, "object_seen", now_s + 2.0, container=place, object="Egg", present=False)
+    assert older.status == "rejected" and f"at {now_s + 3:.0f} s" in older.reason
+    again = restore(live.setup, save(live))
+    assert one(again, "pose", now_s + 4.0, robot="r2", x_m=1.0, y_m=1.5)[0].reason == ""
+    assert again.team.time_s == 3.0
+
+
+@pytest.mark.parametrize("wrong_s", [70_000.0, -UNIX_S + 5.0])
+def test_a_wrong_stamp_shuts_nobody_out(live, wrong_s):
+    begin(live)
+    wheres = [{"robot": name, "x_m": 1.0, "y_m": 1.5} for name in ("r1", "r2")]
+    assert one(live, "pose", UNIX_S, **wheres[1])[0].reason == ""
+    for time_s in (UNIX_S + 1.0, UNIX_S + wrong_s, UNIX_S + wrong_s, UNIX_S + 2.0):
+        answer, _ = one(live, "pose", time_s, **wheres[0])
+        assert answer.status == "accepted" and ("is its clock right?" in answer.reason) == (time_s == UNIX_S + wrong_s)
+    assert live.team.time_s == 2.0
+
+
+def test_when_others_confirm_it_a_long_silence_was_one(live):
+    begin(live)
+    one(live, "pose", 1.0, robot="r1", x_m=1.0, y_m=1.5)
+    first, _ = one(live, "pose", 7200.0, robot="r1", x_m=1.0, y_m=1.5)
+    assert "7199 s ahead" in first.reason and live.team.time_s == 1.0
+    second, _ = one(live, "pose", 7201.0, robot="r2", x_m=1.0, y_m=1.5)
+    assert second.reason == "" and live.team.time_s == 7201.0
+    one(live, "robot_lost", 7202.0, robot="r2")
+    one(live, "pose", 90_000.0, robot="r1", x_m=1.0, y_m=1.5)
+    one(live, "pose", 90_001.0, robot="r1", x_m=1.0, y_m=1.5)
+    assert live.team.time_s == 90_001.0, "a robot that is alone confirms itself"
+
+
+def test_ids_belong_to_their_sender(live):
+    begin(live)
+    bed, fridge = list(live.containers)[-1], next(iter(live.containers))
+    finds = [event("object_seen", 1.0, container=place, object="Egg") for place in (bed, fridge)]
+    first, second = [one.model_copy(update={"id": "1"}) for one in finds]
+    said = lambda message, client="": answers_of(live.handle([message], client=client))[0].status  # noqa: E731
+    assert [said(first), said(second)] == ["accepted", "accepted"], "two clients that count from 1"
+    assert [said(first), said(second)] == ["duplicate", "duplicate"]
+    assert [said(first, "a"), said(second, "b")] == ["accepted", "accepted"]
+    assert [said(second, "a"), said(first, "b")] == ["duplicate", "duplicate"], "a client's name settles it"
+    again = restore(live.setup, save(live))
+    assert answers_of(again.handle([first, second]))[1].status == "duplicate"
+    raw = json.loads(save(live))
+    older = restore(live.setup, json.dumps({**raw, "ids": ["1"]}))
+    assert answers_of(older.handle([first]))[0].status == "duplicate", "older states know ids alone"
 
 
 def test_what_was_seen_is_kept_whoever_saw_it(live):
@@ -515,15 +575,77 @@ def test_a_state_saved_at_any_moment_goes_on_the_same(two_room_home, two_room_ma
     assert save(restore(broken.setup, save(broken))) == save(broken)
 
 
+def test_states_of_version_1_and_of_later_programs_are_read(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map)
+    begin(live)
+    for name, found in (("r1", ["Egg"]), ("r2", [])):
+        one(live, "search_ended", 3.0, robot=name, container=target_of(live, name), objects=found)
+    raw = json.loads(save(live))
+    later = {**raw, "weather": "fine", "robots": [{**robot, "battery": 1} for robot in raw["robots"]]}
+    first = {**raw, "version": 1}
+    for field in ("posterior", "detected", "searches"):
+        del first[field]
+    for text in (json.dumps(later), json.dumps(first)):
+        assert save(restore(live.setup, text)) == save(live)
+
+
 def test_states_of_another_task_or_version_are_refused(live, two_room_home, two_room_map):
     text = save(live)
     other = two_robots(two_room_home, two_room_map, formula="F Egg | F Pillow")
     with pytest.raises(StateError, match="another home, map or task"):
         restore(other.setup, text)
-    with pytest.raises(StateError, match="of version 99, this program reads 2"):
+    with pytest.raises(StateError, match="of version 99, this program reads 1 and 2"):
         restore(live.setup, text.replace('"version":2', '"version":99', 1))
     with pytest.raises(StateError, match="damaged"):
         restore(live.setup, text[: len(text) // 2])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"robots": []}, "robots"),
+        ({"searched": [True]}, "searched or searches is not of"),
+        ({"presence_prob": [[0.5]]}, "presence_prob is not of"),
+        ({"posterior": [[2.0, 0.5]]}, "less than or equal to 1"),
+        ({"seen_s": 3}, "seen_s"),
+        ({"time_s": float("nan")}, "finite number"),
+        ({"failures": [[99, -1, 1]]}, "failures is 99, and there are"),
+        ({"busy": [7]}, "busy, ended or letters"),
+        ({"state": 99}, "state is 99"),
+        ({"robot": {"container": 99}}, "container is 99, and there are"),
+        ({"robot": {"place": -2}}, "place is -2"),
+        ({"robot": {"obj": 5}}, "obj is 5"),
+        ({"robot": {"mode": "fly"}}, "mode"),
+        ({"robot": {"container": -1}}, "under way to nowhere"),
+        ({"robot": {"position": {"back": [0, 0], "ahead": [0, 0]}}}, "off the free floor"),
+        ({"robot": {"position": {"back": [9999, 0], "ahead": [0, 0]}}}, "off the free floor"),
+        ({"robot": {"name": "r2"}}, "two robots"),
+    ],
+)
+def test_states_that_cannot_be_are_refused_in_one_line(live, change, said):
+    begin(live)
+    raw = json.loads(save(live))
+    raw["robots"][0] |= change.pop("robot", {})
+    with pytest.raises(StateError, match=said) as refusal:
+        restore(live.setup, json.dumps(raw | change))
+    assert "\n" not in str(refusal.value) and "damaged" in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "null", "{}\n{}\n", "[" * 10_000, '{"version": 2}', "{}\n[]\n"])
+def test_what_is_no_state_is_refused(live, text):
+    with pytest.raises(StateError):
+        restore(live.setup, text)
+
+
+def test_a_state_file_that_cannot_be_read_is_named(live, tmp_path):
+    path = tmp_path / "state.json"
+    path.write_bytes(b"\xff\xfe")
+    for where in (path, tmp_path):
+        with pytest.raises(StateError, match=f"{where.name}.*cannot be read"):
+            read_state(live.setup, where)
+    path.write_text("{}")
+    with pytest.raises(StateError, match=r"state\.json: the state is of version None"):
+        read_state(live.setup, path)
 
 
 def test_planners_that_know_the_contents_are_refused(two_room_home, two_room_map):
