@@ -609,7 +609,7 @@ def test_states_of_another_task_or_version_are_refused(live, two_room_home, two_
         ({"posterior": [[2.0, 0.5]]}, "less than or equal to 1"),
         ({"seen_s": 3}, "seen_s"),
         ({"time_s": float("nan")}, "finite number"),
-        ({"failures": [[99, -1, 1]]}, "failures is 99, and there are"),
+        ({"robot": {"setbacks": [[99, -1, 1, 0.0]]}}, "setbacks is 99, and there are"),
         ({"busy": [7]}, "busy, ended or letters"),
         ({"state": 99}, "state is 99"),
         ({"robot": {"container": 99}}, "container is 99, and there are"),
