@@ -27,7 +27,6 @@ from mrtask.tasks.words import ReadTask
 
 POSE_REACH_M = 1.0
 """A robot may report a place this far off the free floor."""
-LOST_AFTER_S = 60.0
 NAMES_SHOWN = 20
 IDS_KEPT = 100_000
 EventKey = tuple[str, str]
@@ -53,7 +52,7 @@ class LiveSetup:
     planner: str = "pouct"
     planner_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
-    lost_after_s: float | None = LOST_AFTER_S
+    lost_after_s: float | None = None
     """A robot counts as lost when it has said nothing for so long after its order should have ended, or, if it sends
     heartbeats, after its last word. None: it never does."""
 

@@ -25,6 +25,7 @@ class TeamOptions(MapTask):
     state: LocalPath | None
     unsaved: Literal["stand_still", "go_on"]
     log: LocalPath | None
+    lost_after_s: float | None = Field(gt=0)
     websocket: str | None
     token: str | None
 

@@ -55,7 +55,9 @@ def two_robots(
     task = ReadTask(formula, ("Egg", "Pillow"))
     likelihood = np.array([[0.5 if container.id in likely else 0.2] * 2 for container in home.containers])
     spec = RobotSpec(speed, 2.0, 2.0, perception or Perception())
-    setup = LiveSetup(home, home_map, formula, task, likelihood, spec, planner, (options or {}).get(planner, {}))
+    setup = LiveSetup(
+        home, home_map, formula, task, likelihood, spec, planner, (options or {}).get(planner, {}), lost_after_s=60.0
+    )
     return LiveTeam(setup, {"r1": (1.5, 1.5), "r2": (2.5, 1.5)})
 
 
