@@ -177,12 +177,15 @@ def _interaction_ended(live: LiveState, event: m.InteractionEnded) -> str | None
 
 
 def _robot_lost(live: LiveState, event: m.RobotLost) -> str | None:
-    robot, number = live.robot(event.robot), live.number(event.robot)
+    number = live.number(event.robot)
+    if number in live.silent:
+        live.silent.discard(number)
+        return "it had said nothing for too long, and counted as lost already"
+    robot = live.robot(event.robot)
     if number in live.ended:
         live.ended.remove(number)
         live.team.interactions_ended([robot])
     live.team.lose(robot)
-    live.silent.discard(number)
     live.surprise = True
     return None
 
@@ -206,7 +209,7 @@ def _robot_joined(live: LiveState, event: m.RobotJoined) -> str | None:
         live.spoke_s.append(live.team.time_s)
         live.team.join(position)
         number = len(live.names) - 1
-    live.heard_s[number] = event.time_s
+    live.heard_s[number], live.spoke_s[number] = event.time_s, live.team.time_s
     live.silent.discard(number)
     live.beating.discard(number)
     live.team.robots[number].home_map = live.map_at(position)

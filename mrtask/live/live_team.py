@@ -21,6 +21,8 @@ from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import WAIT, Assignment
 
 DIGEST_LENGTH = 16
+ABOUT_ROBOTS = ("robot_joined", "robot_lost", "try_again")
+"""Events that name a robot, but may come from somebody else."""
 
 
 class LiveTeam(LiveState):
@@ -97,14 +99,14 @@ class LiveTeam(LiveState):
         """Note who spoke; before the first word of all, nobody was late."""
         if not self.ids:
             self.spoke_s = [self.team.time_s] * len(self.names)
-        if getattr(event, "robot", None) in self.names:
+        if event.type not in ABOUT_ROBOTS and getattr(event, "robot", None) in self.names:
             self.spoke_s[self.number(event.robot)] = self.team.time_s
 
     def _welcome_back(self, event: Any) -> str:
         """Take a robot that had fallen silent into the team again, where it should be by what it last said."""
         name = getattr(event, "robot", None)
         number = self.names.index(name) if name in self.names else -1
-        if number not in self.silent or event.type == "robot_joined":
+        if number not in self.silent or event.type in ABOUT_ROBOTS:
             return ""
         robot = self.team.robots[number]
         self.team.join(robot.position, robot)

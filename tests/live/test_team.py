@@ -183,6 +183,7 @@ def test_failures_are_forgiven(two_room_home, two_room_map, how):
     elif how == "robot that is there":
         one(live, "arrived", 1.0, robot="r2", container="2|0")
     else:
+        one(live, "clock", 500.0)
         one(live, "clock", 901.0)
         live.team.failed(live.team.robots[0], 0, NAVIGATE)
         assert live.team.robots[0].setbacks.by[0, NAVIGATE].count == 1
@@ -268,9 +269,16 @@ def test_a_silent_robot_is_missed_and_welcome_back(two_room_home, two_room_map):
     assert place == target_of(live, "r1"), "not yet"
     _, orders = one(live, "pose", due_s, robot="r2", x_m=2.5, y_m=1.5)
     assert task_state(live).silent == ("r1",) and orders["r2"].container == place
+    answer, _ = one(live, "try_again", due_s + 0.5, robot="r1")
+    assert answer.status == "rejected", "an operator's word is none of the robot"
     answer, orders = one(live, "pose", due_s + 1.0, robot="r1", x_m=1.5, y_m=1.5)
     assert (answer.status, "r1 is back" in answer.reason) == ("accepted", True)
     assert not task_state(live).silent and orders["r1"].action == "navigate"
+    one(live, "clock", due_s + 300.0)
+    one(live, "robot_lost", due_s + 301.0, robot="r1")
+    assert task_state(live).silent == ("r2",)
+    answer, _ = one(live, "pose", due_s + 302.0, robot="r1", x_m=1.5, y_m=1.5)
+    assert answer.status == "rejected" and "robot_joined brings it back" in answer.reason
 
 
 def test_what_a_silent_robot_did_counts_when_it_speaks(live):
