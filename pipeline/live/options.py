@@ -26,6 +26,7 @@ class TeamOptions(MapTask):
     unsaved: Literal["stand_still", "go_on"]
     log: LocalPath | None
     lost_after_s: float | None = Field(gt=0)
+    own_clock: bool
     websocket: str | None
     token: str | None
 

@@ -134,8 +134,9 @@ async def _serve(options: TeamOptions, session: LiveSession) -> None:
         tasks = [
             asyncio.create_task(_pipes(hub, done, ends=options.websocket is None)),
             asyncio.create_task(hub.save_again(SAVE_AGAIN_S)),
-            asyncio.create_task(hub.wake(WAKE_EVERY_S)),
         ]
+        if options.own_clock:
+            tasks.append(asyncio.create_task(hub.wake(WAKE_EVERY_S)))
         await done.wait()
         for task in tasks:
             task.cancel()
