@@ -33,12 +33,12 @@ def _pose(live: LiveState, event: m.Pose) -> str | None:
         raise Refused(f"a later pose of {event.robot} is known, of {live.stamp_s(live.heard_s[number]):.10g} s")
     position = live.position(event.x_m, event.y_m)
     live.heard_s[number] = event.time_s
-    moving = robot.moving
+    moving, reach = robot.moving, np.isfinite(robot.travel_s(live.team.time_s))
     robot.home_map = live.map_at(position)
     robot.see_at(position, live.team.time_s)
+    live.surprise |= bool((np.isfinite(robot.travel_s(live.team.time_s)) != reach).any())
     if moving and not robot.moving:
         live.order_ended(event.robot)
-        live.surprise = True
         return "from there no way leads to where its order was"
     return None
 

@@ -163,16 +163,15 @@ class LiveTeam(LiveState):
     def _may_go_on(self) -> bool:
         """Return whether robots without work may find some now, although nothing happened that calls for a decision.
 
-        That is where one may try again what it failed at, and where everybody waits.
+        That is where one may try again what it failed at, and where everybody waits although there is something to do.
         """
-        robots = [self.team.robots[number] for number in self.present]
-        again = any(
-            self.decided_s < setback.until_s <= self.team.time_s
-            for robot in robots
-            if robot.free
-            for setback in robot.setbacks.by.values()
-        )
-        return again or all(robot.free for robot in robots)
+        now_s, robots = self.team.time_s, [self.team.robots[number] for number in self.present]
+        idle = [robot for robot in robots if robot.free]
+        again = any(self.decided_s < one.until_s <= now_s for robot in idle for one in robot.setbacks.by.values())
+        if again or len(idle) < len(robots):
+            return again
+        useful = self.team.useful()
+        return any(bool(np.isfinite(robot.options_s(now_s)[useful]).any()) for robot in idle)
 
     def _decide(self) -> None:
         team = self.team

@@ -377,6 +377,17 @@ def test_what_lies_behind_a_shut_door_is_looked_for_elsewhere(two_room_home, two
     assert orders["r1"].container == "3|0", "all wait, so any event may help"
 
 
+def test_a_waiting_robot_that_turns_up_elsewhere_gets_work(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map, formula="F Pillow")
+    begin(live)
+    shut(live)
+    place = target_of(live, "r1")
+    one(live, "search_ended", 1.0, robot="r1", container=place)
+    assert live.team.robots[0].free and not live.team.robots[1].free
+    _, orders = one(live, "pose", 2.0, robot="r1", **BEYOND)
+    assert orders["r1"].container == "3|0"
+
+
 @pytest.mark.parametrize("planner", ["learned_myopic", "nonlearned_myopic"])
 def test_a_barrier_between_two_robots_stops_no_baseline(two_room_home, two_room_map, planner):
     live = two_robots(two_room_home, two_room_map, planner)
