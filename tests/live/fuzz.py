@@ -50,6 +50,8 @@ class Stream:
             line = rng.choice(self.sent)
         self.sent = [*self.sent[-20:], line]
         self.send(line)
+        if rng.random() < 0.5:
+            self.check_wakes()
 
     def send(self, line):
         answers, news = self.session.receive(line)
@@ -210,8 +212,8 @@ class Stream:
         self.send('{"type": "batch", "events": []}')
         if live.team.accepted or self.acting() or not live.left_alone():
             return
-        wake_s = live.left_alone()[0][0]
-        self.send(json.dumps({"type": "clock", "id": "wake", "time_s": wake_s}))
+        self.time_s = live.left_alone()[0][0]
+        self.send(json.dumps({"type": "clock", "id": f"w{self.time_s}", "time_s": self.time_s}))
         assert self.acting() or not live.present, "it does not try again"
 
     def acting(self):
