@@ -249,6 +249,8 @@ class Order(Message):
     route: tuple[tuple[float, float], ...] = ()
     """Turning points in metres, from where the robot is taken to be to where it is to stop."""
     length_m: float = 0.0
+    heading_rad: float | None = None
+    """Where to look at the end of the route, so as to face the container; 0 is along the map's x axis."""
 
 
 class Letter(Message):

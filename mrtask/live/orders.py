@@ -1,19 +1,23 @@
 """What a live team says: its orders, the task's progress, and the setup."""
 
 from collections.abc import Sequence
+from math import atan2, dist
 from typing import Any
 
 import numpy as np
+from shapely import Polygon
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.robot import Robot
 from mrtask.execution.setbacks import OFTEN, Setback
+from mrtask.homes.home import Point
 from mrtask.live import messages as m
 from mrtask.live.barriers import Barrier
 from mrtask.live.state import LiveState
 
 REASONS_SHOWN = 5
 _NAVIGATE, _SEARCH, _INTERACT, _WAIT = "navigate", "search", "interact", "wait"
+MIN_FACING_M = 0.01
 _ACTIONS = {
     ActKind.MOVE: _NAVIGATE,
     ActKind.SEARCH: _SEARCH,
@@ -46,7 +50,16 @@ def order_of(live: LiveState, number: int) -> m.Order:
         object=live.setup.task.propositions[obj] if obj >= 0 else None,
         route=route,
         length_m=length_m,
+        heading_rad=_heading_rad(live, target, route[-1]) if route else None,
     )
+
+
+def _heading_rad(live: LiveState, container: int, point: Point) -> float | None:
+    """Return the direction from a place to the middle of a container; None in the middle itself."""
+    middle = Polygon(live.setup.home.containers[container].footprint).centroid
+    if dist(point, (middle.x, middle.y)) < MIN_FACING_M:
+        return None
+    return atan2(middle.y - point[1], middle.x - point[0])
 
 
 def doing(live: LiveState, robot: Robot) -> str:

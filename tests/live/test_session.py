@@ -16,7 +16,7 @@ from mrtask.live.log_file import entries
 from mrtask.live.messages import schemas
 from mrtask.live.session import MAX_BYTES, LiveSession, replay
 from mrtask.live.state_file import read_state
-from mrtask.live.store import restore, save
+from mrtask.live.store import mark, restore, return_to, save
 from tests.live.fuzz import Stream
 from tests.live.test_team import two_robots
 
@@ -110,6 +110,24 @@ def test_what_fails_while_a_message_is_handled_is_its_answer_and_changes_nothing
     assert save(live) == before
     answers, news = told(session, batch)
     assert {answer["status"] for answer in answers} == {"accepted"} and news
+
+
+def test_a_team_can_return_to_any_moment(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map)
+    stream = Stream(live, 11, [door.id for door in two_room_home.doors])
+    session = stream.session
+    session.begin()
+    events = 0
+    for _ in range(60):
+        line = json.dumps(stream.event())
+        moment, before = mark(live), save(live)
+        accepted = "accepted" in session.receive(line)[0][0]
+        events += accepted
+        assert (save(live) == before) is not accepted
+        return_to(live, moment)
+        assert save(live) == before and live.ids_since(0) == live.ids_until(live.taken)
+        session.receive(line)
+    assert events > 20
 
 
 def unwritable(path):

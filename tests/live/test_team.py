@@ -87,6 +87,9 @@ def test_orders_have_routes_from_the_robot_to_the_container(live, two_room_map):
         assert dist(order.route[0], start) < 0.05
         assert order.route[-1] == two_room_map.cell_center(tuple(two_room_map.access[container]))
         assert order.length_m == pytest.approx(sum(dist(*ends) for ends in pairwise(order.route)))
+        middle = np.mean(live.setup.home.containers[container].footprint, axis=0)
+        ahead = middle - order.route[-1]
+        assert (np.cos(order.heading_rad), np.sin(order.heading_rad)) == pytest.approx(ahead / np.hypot(*ahead))
 
 
 def test_a_robot_that_is_early_has_driven_all_of_its_way(live):
