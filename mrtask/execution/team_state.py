@@ -82,7 +82,7 @@ class TeamState:
     def problem(self) -> PlanningProblem:
         """Return what a planner may know now, of the `active` robots. What none of them can get to holds nothing."""
         robots = tuple(self.robots[index].status(self.time_s) for index in self.active)
-        reach = np.isfinite([robot.travel_s for robot in robots]).any(axis=0)
+        reach = _finite([robot.travel_s for robot in robots], len(self.containers))
         return PlanningProblem(
             automaton=self.automaton,
             state=self.state,
@@ -266,7 +266,7 @@ class TeamState:
     def useful(self) -> NDArray[np.bool_]:
         """Return the containers [C] at which robots that can get there could do something, failed there or not."""
         ways_s = [self.robots[index].travel_s(self.time_s) for index in self.active]
-        reach = np.isfinite(ways_s).any(axis=0) if ways_s else np.zeros(len(self.containers), dtype=bool)
+        reach = _finite(ways_s, len(self.containers))
         advancing = self.automaton.advancing[self.state]
         wanted = (self.belief.presence_prob[:, advancing] > 0).any(axis=1)
         missing = bool((advancing & ~self.belief.found(reach)).any())
@@ -283,7 +283,7 @@ class TeamState:
     def _within_reach(self) -> NDArray[np.bool_]:
         """Return the containers [C] to which some robot can be sent now."""
         ways_s = [self.robots[index].options_s(self.time_s) for index in self.active]
-        return np.isfinite(ways_s).any(axis=0) if ways_s else np.zeros(len(self.containers), dtype=bool)
+        return _finite(ways_s, len(self.containers))
 
     def _noted(self, news: bool) -> bool:
         self.news |= news
@@ -313,3 +313,8 @@ class TeamState:
         named = np.arange(len(here)) == wanted
         sent = robot.act.kind is ActKind.SETTLING
         return np.asarray(self.automaton.advancing[self.state] & here & named & sent)
+
+
+def _finite(ways_s: Sequence[NDArray[np.float64]], containers: int) -> NDArray[np.bool_]:
+    """Return the containers [C] to which some of the robots' ways [C] are finite."""
+    return np.asarray(np.isfinite(np.reshape(ways_s, (-1, containers))).any(axis=0))

@@ -134,7 +134,7 @@ def _why_stuck(live: LiveState) -> str:
         silent = ", ".join(live.names[number] for number in sorted(live.silent))
         return f"no robot is left; {f'a word from {silent} helps' if silent else 'robot_joined helps'}"
     ways_s = [team.robots[number].travel_s(team.time_s) for number in live.present]
-    reachable = np.isfinite(ways_s).any(axis=0)
+    reachable = np.asarray(np.isfinite(ways_s).any(axis=0))
     missing = team.missing()
     if missing and team.belief.searched[reachable].all():
         beyond = [name for name, there in zip(live.containers, reachable, strict=True) if not there]
