@@ -10,6 +10,7 @@ Legend for array shapes: R robots, C containers, O task objects.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from mrtask.execution.setbacks import NAVIGATE, SEARCH
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Letter, Trace
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, safe
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotStatus, safe
 from mrtask.tasks.automaton import Automaton
 
 
@@ -81,7 +82,7 @@ class TeamState:
 
     def problem(self) -> PlanningProblem:
         """Return what a planner may know now, of the `active` robots. What none of them can get to holds nothing."""
-        robots = tuple(self.robots[index].status(self.time_s) for index in self.active)
+        robots = tuple(self._status(self.robots[index]) for index in self.active)
         reach = _finite([robot.travel_s for robot in robots], len(self.containers))
         return PlanningProblem(
             automaton=self.automaton,
@@ -279,6 +280,14 @@ class TeamState:
     def _lacking(self) -> NDArray[np.bool_]:
         """Return the objects [O] that `missing` names."""
         return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found(self._within_reach()))
+
+    def _status(self, robot: Robot) -> RobotStatus:
+        """Return what a planner may know of a robot.
+
+        The team's travel times say nothing of ways from a container at which only this robot can be.
+        """
+        status = robot.status(self.time_s)
+        return replace(status, place=-1) if robot.free and robot.home_map is not self.home_map else status
 
     def _within_reach(self) -> NDArray[np.bool_]:
         """Return the containers [C] to which some robot can be sent now."""

@@ -129,8 +129,7 @@ class LiveTeam(LiveState):
         if self.ended:
             team.interactions_ended([team.robots[number] for number in sorted(self.ended)])
             self.ended = []
-        for number in self.present:
-            self._leave_barriers(number)
+        self._use_own_maps()
         if decide:
             self._miss_the_silent()
         team.withdraw_interactions()
@@ -152,10 +151,9 @@ class LiveTeam(LiveState):
                     orders.append(order_of(self, number))
         return [*orders, task_state(self)]
 
-    def _leave_barriers(self, number: int) -> None:
-        """Hold a robot by the barriers out of which it has driven."""
-        robot = self.team.robots[number]
-        if robot.home_map is not self.team.home_map:
+    def _use_own_maps(self) -> None:
+        """Let barriers hold the robots that have driven out of them, and none that stand in them."""
+        for robot in (self.team.robots[number] for number in self.present if self.barriers):
             own_map = self.map_at(robot.position_at(self.team.time_s))
             if own_map is not robot.home_map:
                 self.team.take_own_map(robot, own_map)

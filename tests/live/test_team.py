@@ -364,6 +364,18 @@ def test_who_stands_in_a_blocked_place_can_leave_it(two_room_home, two_room_map)
     assert robot.home_map is live.team.home_map, "once outside, it is held like the others"
 
 
+def test_who_stands_at_a_container_in_a_blocked_place_goes_on_to_the_next(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map, formula="F Egg")
+    begin(live)
+    one(live, "robot_lost", 0.5, robot="r2")
+    place = target_of(live, "r1")
+    one(live, "arrived", 1.0, robot="r1", container=place)
+    x_m, y_m = spot(live, place)
+    one(live, "route_blocked", 1.5, x_m=x_m, y_m=y_m, radius_m=0.2)
+    _, orders = one(live, "search_ended", 2.0, robot="r1", container=place)
+    assert orders["r1"].action == "navigate" and orders["r1"].container != place
+
+
 @pytest.mark.parametrize("planner", ["greedy", "learned_myopic", "nonlearned_myopic"])
 def test_what_lies_behind_a_shut_door_is_looked_for_elsewhere(two_room_home, two_room_map, planner):
     live = two_robots(two_room_home, two_room_map, planner, formula="F Pillow")
