@@ -58,7 +58,7 @@ class TeamState:
         self.robots: list[Robot] = []
         self.use_map(home_map)
         self.robots += [self.new_robot(start) for start in starts]
-        self._safe, self._one_per_letter = safe(automaton), one_per_letter
+        self._safe, self.one_per_letter = safe(automaton), one_per_letter
         self.state = automaton.initial
         self.start = starts[0].point(home_map)
         self.letters: list[Letter] = []
@@ -194,7 +194,12 @@ class TeamState:
         return bool([robot for robot in standing if self._try_interaction(robot)])
 
     def withdraw_interactions(self) -> list[Robot]:
-        """Free the robots whose interactions would not advance the task any more, and return them."""
+        """Free the robots whose interactions would not advance the task any more, and return them.
+
+        This happens only with ``one_per_letter``.
+        """
+        if not self.one_per_letter:
+            return []
         acting = [robot for robot in self.robots if robot.act.kind is ActKind.INTERACT]
         order = serving_order(self.automaton, self.state, frozenset(robot.act.obj for robot in acting))
         first = [next(robot for robot in acting if robot.act.obj == obj) for obj in order]
@@ -311,7 +316,7 @@ class TeamState:
         """Return the objects [O] with which the robot may interact here now: the one it was sent for, or safe ones."""
         wanted, here = robot.assignment.interaction, self.belief.presence_prob[robot.place] > 0
         here[robot.setbacks.objects_left_alone(robot.place, self.time_s)] = False
-        if self._one_per_letter:
+        if self.one_per_letter:
             doing = frozenset(one.act.obj for one in self.robots if one.act.kind is ActKind.INTERACT)
             order = serving_order(self.automaton, self.state, doing)
             here &= self.automaton.advancing[self.automaton.run((self.labels.objects[o] for o in order), self.state)]
