@@ -24,9 +24,9 @@ class LogFile:
 
     def write(self, kind: str, lines: list[str], out: list[str], **facts: object) -> None:
         """Add an entry: the lines that came in, and those that went out."""
-        entries = [{"kind": GAP, "lines": [], "out": []}] if self._gap else []
-        entries.append({"kind": kind, "lines": lines, "out": out, **facts})
-        text = "".join(f"{json.dumps(entry)}\n" for entry in entries).encode()
+        added: list[dict[str, Any]] = [{"kind": GAP, "lines": [], "out": []}] if self._gap else []
+        added.append({"kind": kind, "lines": lines, "out": out, **facts})
+        text = "".join(f"{json.dumps(entry)}\n" for entry in added).encode()
         try:
             if not self._opened:
                 self._begin()

@@ -59,7 +59,7 @@ class LiveSession:
         self.live.begin()
         self._keep()
         if self._stands:
-            raise InputError(f"{self._unsaved}; make room, give another file, or let the team go on without it")
+            raise InputError(f"{self._unsaved}; make room, give another file, or let it go on without (unsaved=go_on)")
         lines = _lines([welcome(self.live), *self._present()])
         self._write("begin", lines)
         return lines

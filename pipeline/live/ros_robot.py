@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import atan2, cos, dist, isfinite, sin
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -148,36 +148,32 @@ class RosRobot:
                 self._seen[name] = max(min(score, 1.0), self._seen.get(name, 0.0))
 
     def _results(self, message: Any) -> Iterator[tuple[str, float]]:
-        """Yield the label and score of each result; ``id`` is what older versions of vision_msgs call the label."""
+        """Yield the label and score of each result."""
         for detection in _list(message, "detections"):
             for result in _list(detection, "results"):
-                hypothesis = result.get("hypothesis", result) if isinstance(result, dict) else None
-                label = hypothesis.get("class_id", hypothesis.get("id")) if isinstance(hypothesis, dict) else None
-                score = hypothesis.get("score") if isinstance(hypothesis, dict) else None
-                if (
-                    _is_number(score)
-                    and (isinstance(label, str) or type(label) is int)
-                    and 0 < len(str(label)) <= MAX_NAME
-                ):
-                    yield str(label), float(score)
+                if (found := _label_and_score(result)) is not None:
+                    yield found
                 else:
                     self._say(f"{self.name}: a detection without class and score was left out")
 
     def _navigate(self, order: Message) -> None:
         goal = self._goal = _Goal(order["container"])
+        options, route = self._options, order["route"]
+
+        def silent() -> None:
+            if not goal.heard:
+                self._overdue(goal, f"Nav2 gave no feedback in {options.answer_within_s:g} s")
 
         def heard(feedback: Any) -> None:
             goal.heard = True
             if goal is self._goal and (place := _place(feedback, "current_pose", "pose", "position")) is not None:
                 self.is_at(*place)
 
-        options, route = self._options, order["route"]
         length_m = sum(dist(*ends) for ends in pairwise(route))
         longest_s = options.answer_within_s + options.overdue_factor * length_m / options.speed_m_per_s
         pose = pose_goal(route, options.frame, order.get("heading_rad"))
         goal.id = self._nav2.send(pose, lambda status, reason: self._ended(goal, status, reason), heard)
-        silent = f"Nav2 gave no feedback in {options.answer_within_s:g} s"
-        self._later(options.answer_within_s, lambda: goal.heard or self._overdue(goal, silent))
+        self._later(options.answer_within_s, silent)
         self._later(longest_s, lambda: self._overdue(goal, f"not there after {longest_s:.0f} s"))
 
     def _overdue(self, goal: _Goal, reason: str) -> None:
@@ -226,6 +222,18 @@ def pose_goal(route: Sequence[Sequence[float]], frame: str, heading_rad: float |
     return {"pose": {"header": {"frame_id": frame}, "pose": pose}, "behavior_tree": ""}
 
 
+def _label_and_score(result: Any) -> tuple[str, float] | None:
+    """Return what a result of a detector says; ``id`` is what older versions of vision_msgs call the label."""
+    hypothesis = result.get("hypothesis", result) if isinstance(result, dict) else None
+    if not isinstance(hypothesis, dict):
+        return None
+    label, score = hypothesis.get("class_id", hypothesis.get("id")), hypothesis.get("score")
+    named = isinstance(label, str) or type(label) is int
+    if not named or not 0 < len(str(label)) <= MAX_NAME or not _is_number(score):
+        return None
+    return str(label), float(score)
+
+
 def _list(message: Any, key: str) -> list[Any]:
     found = message.get(key) if isinstance(message, dict) else None
     return found if isinstance(found, list) else []
@@ -239,5 +247,5 @@ def _place(message: Any, *keys: str) -> Point | None:
     return None
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

@@ -145,16 +145,13 @@ class Rosbridge:
         self._inbox.put(self._broke)
 
     def _take(self, text: str | bytes) -> None:
-        try:
-            message = json.loads(text)
-        except ValueError:
-            message = None
+        message = _read(text)
         take = {
             "publish": self._published,
             "action_feedback": self._fed_back,
             "action_result": self._result,
             "status": self._status,
-        }.get(message.get("op") if isinstance(message, dict) else None)
+        }.get(str(message.get("op")) if isinstance(message, dict) else "")
         if take is None:
             self._say(f"rosbridge sent what is no message for us: {text[:100]!r}")
         else:
@@ -182,6 +179,15 @@ class Rosbridge:
         named = [name for name in self._goals if name == message.get("id") or name in text]
         for name in named if message["level"] == "error" else ():
             self._goals.pop(name).ended(FAILED, text)
+
+
+def _read(text: str | bytes) -> Any:
+    """Return a message's content, or None; lone surrogates, which nobody could be told of, become question marks."""
+    try:
+        content = json.loads(text)
+        return json.loads(json.dumps(content, ensure_ascii=False).encode("utf-8", "replace"))
+    except (ValueError, RecursionError):
+        return None
 
 
 def _outcome(message: Message) -> tuple[str, str]:

@@ -252,6 +252,7 @@ RESULT = {"op": "action_result", "values": {"error_msg": ""}, "status": 4, "resu
         ([RESULT], "SUCCEEDED", ""),
         ([{**RESULT, "status": None, "values": {"status": 4}}], "SUCCEEDED", ""),
         ([{**RESULT, "status": 6, "values": {"error_msg": "no way"}}], "ABORTED", "no way"),
+        ([{**RESULT, "status": 6, "values": {"error_msg": "no \ud800"}}], "ABORTED", "no ?"),
         ([{**RESULT, "result": False}], "FAILED", "result false"),
         ([{**RESULT, "status": 99}], "FAILED", "status 99"),
         ([{**RESULT, "status": "4"}], "FAILED", "status 4"),
