@@ -106,6 +106,26 @@ class InteractionEnded(_AtContainer):
     gone: bool = False
 
 
+class Heartbeat(_OfRobot):
+    """The robot is well. From its first heartbeat on it promises to say something every few seconds."""
+
+    type: Literal["heartbeat"]
+
+
+class Clock(_Event):
+    """Nothing happened until this time: what was to be done by then is done."""
+
+    type: Literal["clock"]
+
+
+class TryAgain(_Event):
+    """An operator says that what failed may work now: for this robot or all, at this container or anywhere."""
+
+    type: Literal["try_again"]
+    robot: Name | None = None
+    container: Name | None = None
+
+
 class RobotLost(_OfRobot):
     """The robot takes part no more."""
 
@@ -132,7 +152,7 @@ class _Barrier(_Event):
 
 
 class RouteBlocked(_Barrier):
-    """Nobody gets through this door, or past this place (a disc of ``radius_m``)."""
+    """Nobody gets through this door, or past this place (a disc of ``radius_m``; the larger of two counts)."""
 
     type: Literal["route_blocked"]
 
@@ -154,6 +174,9 @@ _Events = (
     | RobotJoined
     | RouteBlocked
     | RouteCleared
+    | Heartbeat
+    | Clock
+    | TryAgain
 )
 Event = Annotated[_Events, Field(discriminator="type")]
 
@@ -179,6 +202,15 @@ class Hello(Message):
 _Incoming = _Events | Batch | Hello
 
 
+class Blocked(Message):
+    """A door that is shut, or a place that is blocked."""
+
+    door: str | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+    radius_m: float
+
+
 class Welcome(Message):
     """What the live team is about."""
 
@@ -191,6 +223,9 @@ class Welcome(Message):
     robots: tuple[str, ...]
     last_event: str | None
     """The id of the last event that was taken in: where to go on after a break."""
+    doors: tuple[str, ...] = ()
+    """The doors that can be reported as blocked."""
+    blocked: tuple[Blocked, ...] = ()
 
 
 class Answer(Message):
@@ -228,13 +263,20 @@ class Letter(Message):
 
 
 class TaskState(Message):
-    """How far the task is; ``stuck`` says why nobody can go on, until some event helps."""
+    """How far the task is; ``stuck`` says why nobody can go on, until some event helps.
+
+    With ``running``, the ``reason`` says what a team waits for in which nobody has anything to do yet.
+    """
 
     type: Literal["task"] = "task"
     status: Literal["running", "done", "stuck"]
     time_s: float
     word: tuple[Letter, ...]
     reason: str = ""
+    silent: tuple[str, ...] = ()
+    """The robots that count as lost because they said nothing for too long; they are back as soon as they speak."""
+    wake_s: float | None = None
+    """The time at which the team decides again by itself if it hears nothing; any event of that time makes it so."""
 
 
 Outgoing = Welcome | Answer | Order | TaskState

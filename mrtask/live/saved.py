@@ -47,6 +47,11 @@ class SavedRobot(_Part):
     passed: tuple[tuple[float, float], ...] = ()
     obj: int
     legs: tuple[Leg, ...] = ()
+    setbacks: tuple[tuple[int, int, int, float], ...] = ()
+    """(container, what failed there, how often, when last)"""
+    spoke_s: float = 0.0
+    silent: bool = False
+    beating: bool = False
 
 
 class SavedState(_Part):
@@ -65,7 +70,6 @@ class SavedState(_Part):
     seen_s: tuple[tuple[float | None, ...], ...]
     robots: tuple[SavedRobot, ...] = Field(min_length=1)
     letters: tuple[Letter, ...]
-    failures: tuple[tuple[int, int, int], ...]
     barriers: dict[str, Barrier]
     start: tuple[float, float]
     decisions: int
@@ -75,6 +79,7 @@ class SavedState(_Part):
     busy: tuple[int, ...]
     ended: tuple[int, ...]
     surprise: bool
+    decided_s: float = 0.0
     ids: tuple[EventKey, ...] = ()
     zero_s: float = 0.0
 
@@ -112,9 +117,9 @@ def mistake(setup: LiveSetup, state: SavedState) -> str | None:
         return f"searched or searches is not of {shape[0]} containers"
     letters = [one.robot for one in state.letters]
     containers = [(one.place, "place") for one in state.robots] + [(one.container, "container") for one in state.robots]
-    containers += [(container, "failures") for container, _, _ in state.failures]
+    containers += [(container, "setbacks") for one in state.robots for container, *_ in one.setbacks]
     objects = [(one.obj, "obj") for one in state.robots] + [(one.interaction, "interaction") for one in state.robots]
-    objects += [(obj, "failures") for _, obj, _ in state.failures]
+    objects += [(what, "setbacks") for one in state.robots for _, what, *_ in one.setbacks if what >= 0]
     for numbers, count, kind in ((containers, shape[0], "container"), (objects, shape[1], "object")):
         if wrong := [f"{name} is {number}" for number, name in numbers if not -1 <= number < count]:
             return f"{wrong[0]}, and there are {count} {kind}s"

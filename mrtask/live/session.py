@@ -28,6 +28,8 @@ LOGGER = logging.getLogger(__name__)
 MAX_BYTES = 262_144
 MAX_DEPTH = 6
 MAX_REASON = 300
+OWN_CLOCK = "the team's own clock"
+"""The client of the events with which a session itself says how late it is."""
 
 
 class LiveSession:
@@ -46,6 +48,7 @@ class LiveSession:
         self._mark = mark(live)
         self._unsaved = ""
         """Why the state cannot be written."""
+        self._received_s = time.monotonic()
 
     def begin(self) -> list[str]:
         """Return the first lines: `Welcome`, all orders in force, the task's state.
@@ -70,7 +73,7 @@ class LiveSession:
         Returns:
             Answers for the sender, and orders and task states for all listeners.
         """
-        began_s = time.perf_counter()
+        began_s, self._received_s = time.perf_counter(), time.monotonic()
         try:
             message = parse(text)
         except Unreadable as error:
@@ -98,6 +101,18 @@ class LiveSession:
         facts |= {"unsaved": self._unsaved} if self._unsaved else {}
         self._write("in", [raw.strip()], answers + news, took_s=round(time.perf_counter() - began_s, 6), **facts)
         return answers, news
+
+    def wake(self) -> list[str]:
+        """Let the team do what is due by now if nobody says anything; return what all listeners are told.
+
+        Since the last message, the team's time has gone on as the time here has.
+        """
+        now_s = self.live.team.time_s + time.monotonic() - self._received_s
+        if not self.live.ids or now_s < self.live.wake_s:  # before the first event, nobody knows what clock counts
+            return []
+        clock = m.Clock(type="clock", id=f"{now_s:.3f}", time_s=max(self.live.stamp_s(now_s), 0.0))
+        _, news = self.receive(clock.model_dump_json(), OWN_CLOCK)
+        return news
 
     def save_again(self) -> list[str]:
         """Try once more to write a state that could not be written; return what all listeners are told if it worked."""

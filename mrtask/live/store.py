@@ -21,9 +21,9 @@ from pydantic import TypeAdapter
 
 from mrtask.execution.acts import Act
 from mrtask.execution.motion import plan_route
+from mrtask.execution.setbacks import Setback, Setbacks
 from mrtask.execution.trace import Leg
 from mrtask.homes.home import Point
-from mrtask.live.barriers import barred_map
 from mrtask.live.live_team import LiveTeam
 from mrtask.live.saved import IDS, LEGS, PASSED, SavedRobot, SavedState, StateError, damaged, mistake, read_saved
 from mrtask.live.state import LiveSetup
@@ -86,8 +86,12 @@ def mark(live: LiveTeam) -> Mark:
             until_s=robot.act.until_s if np.isfinite(robot.act.until_s) else None,
             under_way=robot.route is not None,
             obj=robot.act.obj,
+            setbacks=tuple((*key, setback.count, setback.last_s) for key, setback in robot.setbacks.by.items()),
+            spoke_s=live.spoke_s[number],
+            silent=number in live.silent,
+            beating=number in live.beating,
         )
-        for name, heard_s, robot in zip(live.names, live.heard_s, team.robots, strict=True)
+        for number, (name, heard_s, robot) in enumerate(zip(live.names, live.heard_s, team.robots, strict=True))
     ]
     state = SavedState(
         version=STATE_VERSION,
@@ -103,7 +107,6 @@ def mark(live: LiveTeam) -> Mark:
         seen_s=tuple(tuple(float(at) if np.isfinite(at) else None for at in row) for row in live.seen_s),
         robots=tuple(robots),
         letters=tuple(team.letters),
-        failures=tuple((*key, count) for key, count in belief.failures.items()),
         barriers=live.barriers,
         start=team.start,
         decisions=live.decisions,
@@ -113,6 +116,7 @@ def mark(live: LiveTeam) -> Mark:
         busy=tuple(sorted(live.busy)),
         ended=tuple(live.ended),
         surprise=live.surprise,
+        decided_s=live.decided_s,
         zero_s=live.clock.zero_s,
     )
     fields = state.model_dump(mode="json", exclude={IDS: True, "robots": {"__all__": {LEGS, PASSED}}})
@@ -157,11 +161,9 @@ def _team_of(setup: LiveSetup, state: SavedState) -> LiveTeam:
     sure = (belief.presence_prob == 1.0) & belief.searched[:, None]
     belief.detected = sure if state.detected is None else np.array(state.detected, dtype=bool).reshape(shape)
     belief.searches = np.array(state.searched if state.searches is None else state.searches, dtype=np.int64)
-    belief.failures = {(container, obj): count for container, obj, count in state.failures}
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version
-    if live.barriers:
-        team.use_map(barred_map(setup.home_map, list(live.barriers.values())))
+    team.use_map(live.barred(tuple(live.barriers.values())))
     if not 0 <= state.state < len(team.automaton.transitions):
         raise damaged(f"state is {state.state}, and the task has {len(team.automaton.transitions)}")
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
@@ -174,15 +176,21 @@ def _team_of(setup: LiveSetup, state: SavedState) -> LiveTeam:
             assignment=Assignment(one.container, one.interaction),
             since_s=one.since_s,
             moved_s=one.moved_s,
-            route=plan_route(team.home_map, one.position, one.container) if one.under_way else None,
+            home_map=live.map_at(one.position),
+            route=plan_route(live.map_at(one.position), one.position, one.container) if one.under_way else None,
             passed=one.passed,
             legs=list(one.legs),
+            setbacks=Setbacks({(at, what): Setback(count, last_s) for at, what, count, last_s in one.setbacks}),
         )
         for one in state.robots
     ]
     live.heard_s = [one.heard_s for one in state.robots]
+    live.spoke_s = [one.spoke_s for one in state.robots]
+    live.silent = {number for number, one in enumerate(state.robots) if one.silent}
+    live.beating = {number for number, one in enumerate(state.robots) if one.beating}
     live.decisions, live.orders, live.told = state.decisions, state.orders, dict(state.told)
     live.busy, live.ended, live.surprise = set(state.busy), list(state.ended), state.surprise
+    live.decided_s = state.decided_s
     live.ids = dict.fromkeys(state.ids)
     live.clock.zero_s = state.zero_s
     return live

@@ -25,6 +25,8 @@ class TeamOptions(MapTask):
     state: LocalPath | None
     unsaved: Literal["stand_still", "go_on"]
     log: LocalPath | None
+    lost_after_s: float | None = Field(gt=0)
+    own_clock: bool
     websocket: str | None
     token: str | None
 

@@ -29,6 +29,7 @@ from pipeline.live.options import TeamOptions
 
 VERBATIM = ("task", "name", "token")
 SAVE_AGAIN_S = 5.0
+WAKE_EVERY_S = 0.5
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -64,6 +65,7 @@ def _live(options: TeamOptions) -> LiveTeam:
         planner=options.decide_by,
         planner_options=options.planner_options,
         seed=options.seed,
+        lost_after_s=options.lost_after_s,
     )
     if options.state is not None and options.state.exists():
         live = read_state(setup, options.state)
@@ -85,6 +87,13 @@ class SessionHub:
             answers, news = await asyncio.to_thread(self.session.receive, text, client)
         self._tell(sender, answers)
         self._tell_all(news)
+
+    async def wake(self, every_s: float) -> None:
+        """Let the team look at the time now and then, for ever, where nobody says anything."""
+        while True:
+            await asyncio.sleep(every_s)
+            async with self._one_at_a_time:
+                self._tell_all(await asyncio.to_thread(self.session.wake))
 
     async def save_again(self, every_s: float) -> None:
         """Try now and then, for ever, to write a state that could not be written."""
@@ -131,6 +140,8 @@ async def _serve(options: TeamOptions, session: LiveSession) -> None:
             asyncio.create_task(_pipes(hub, done, ends=options.websocket is None)),
             asyncio.create_task(hub.save_again(SAVE_AGAIN_S)),
         ]
+        if options.own_clock:
+            tasks.append(asyncio.create_task(hub.wake(WAKE_EVERY_S)))
         await done.wait()
         for task in tasks:
             task.cancel()

@@ -1,6 +1,7 @@
 """Lines of JSON in and out of a live team: refusals, schemas, logs, and random streams."""
 
 import json
+import time
 from importlib.resources import files
 from itertools import pairwise
 
@@ -241,6 +242,20 @@ def test_an_event_costs_the_same_however_many_came_before(two_room_home, two_roo
     told(session, pose(300.0))
     assert len(state.read_text().splitlines()) == 1, "the changes outgrew the rest"
     assert save(read_state(live.setup, state)) == save(live)
+
+
+def test_a_session_wakes_by_itself_when_nobody_speaks(session, monkeypatch):
+    session.begin()
+    now_s = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    assert session.wake() == []
+    told(session, '{"type": "pose", "id": "a", "time_s": 1.0e9, "robot": "r1", "x_m": 1.5, "y_m": 1.5}')
+    now_s += 30.0
+    assert session.wake() == [], "not yet"
+    now_s += 300.0
+    *_, state = map(json.loads, session.wake())
+    assert state["silent"] == ["r1", "r2"] and state["time_s"] == pytest.approx(1.0e9 + 330.0)
+    assert session.wake() == [], "once is enough"
 
 
 def test_state_is_kept_before_anything_is_said_and_the_log_replays(two_room_home, two_room_map, tmp_path):
