@@ -18,14 +18,19 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import FrameType, TracebackType
-from typing import Any, Generic, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
-import ray
-from ray.exceptions import RayError, RayTaskError
+import lazy_loader
 
 from pipeline.base import console, interrupt
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
+
+if TYPE_CHECKING:
+    import ray
+    from ray.exceptions import RayError
+else:
+    ray = lazy_loader.load("ray")  # takes a second to import, and a run that has nothing to do needs no workers
 
 OBJECT_STORE_BYTES = 512 * 2**20
 """Enough for the few megabytes that all tasks share; Ray would take 30 % of the memory."""
@@ -217,7 +222,7 @@ class Pool(AbstractContextManager["Pool"]):
         try:
             results, seconds = ray.get(reference)
             pace.note(len(results), seconds)
-        except RayError as error:
+        except ray.exceptions.RayError as error:
             if len(batch.tries) > 1:  # one of them is to blame; run alone, it shows itself
                 yield from (one.again() for one in batch.tries)
             else:
@@ -229,10 +234,10 @@ class Pool(AbstractContextManager["Pool"]):
             else:
                 yield Outcome(one.item, one.attempt, value, failure)
 
-    def _after_loss(self, batch: _Batch[Item], error: RayError) -> Outcome[Item, Value] | _Try[Item]:
+    def _after_loss(self, batch: _Batch[Item], error: "RayError") -> Outcome[Item, Value] | _Try[Item]:
         """Return what becomes of an item whose worker returned nothing."""
         [one] = batch.tries
-        if isinstance(error, RayTaskError):  # its value could not be sent back
+        if isinstance(error, ray.exceptions.RayTaskError):  # its value could not be sent back
             if one.errors < EXCEPTION_RETRIES:
                 return one.again(errors=1)
             failure = Failure("error", str(error))

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from mrtask.names import counted
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
@@ -28,7 +29,7 @@ def map_homes(context: Context, pool: Pool) -> Reach:
     mapped = pool.values(map_home, range(len(context.homes)), context, unit="homes mapped")
     containers, reachable = (sum(counts) for counts in zip(*(counts for _, counts in mapped), strict=True))
     reach = Reach(containers=containers, reachable=reachable)
-    console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
+    console.line(f"{counted(len(context.homes), 'home')} mapped, {reach.share:.2%} of their containers reachable")
     return reach
 
 
@@ -98,7 +99,7 @@ def pilot(plan: EvaluationPlan, pool: Pool) -> Iterator[str]:
         mean_s = statistics.fmean(planning_s) + statistics.median(other_s)
         total_s += mean_s * episodes / pool.slots
         yield f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}"
-    yield f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)"
+    yield f"about {console.duration(total_s)} on {counted(pool.slots, 'worker')}; no episode was written (dry_run)"
 
 
 def _spent_s(plan: EvaluationPlan, pool: Pool) -> dict[str, list[tuple[float, float]]]:

@@ -10,7 +10,7 @@ import io
 import json
 import time
 import uuid
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -39,10 +39,17 @@ class EpisodeWriter:
     """The one writer of a dataset.
 
     Opening it drops rows of a status in ``rerun``, so that they run again: only those of ``asked`` where that is given.
+    ``begin`` is called once, right before the first rows are written.
     """
 
-    def __init__(self, folder: Folder, rerun: Collection[str] = (), asked: Collection[Key] | None = None) -> None:
-        self._folder = folder
+    def __init__(
+        self,
+        folder: Folder,
+        rerun: Collection[str] = (),
+        asked: Collection[Key] | None = None,
+        begin: Callable[[], None] | None = None,
+    ) -> None:
+        self._folder, self._begin = folder, begin
         self._pending: list[EpisodeRow] = []
         self._flushed_s = time.monotonic()
         self._small = _finish_merges(folder)
@@ -68,6 +75,9 @@ class EpisodeWriter:
     def flush(self) -> None:
         """Write what is pending."""
         if self._pending:
+            if self._begin is not None:
+                self._begin()
+                self._begin = None
             table = pa.Table.from_pylist([row.as_dict() for row in self._pending], schema=SCHEMA).sort_by(SORTED_BY)
             self._small.append(_write(self._folder, "part", table))
             self._pending = []
