@@ -250,7 +250,8 @@ def _manifest(
 
 def _reliability(context: Context) -> tuple[dict[str, Any], ...]:
     bins = reliability_in_homes(context.homes, context.table)
-    return tuple(bins.astype(object).where(bins.notna(), None).to_dict("records"))
+    rows = bins.astype(object).where(bins.notna(), None).to_dict("records")
+    return tuple({str(column): value for column, value in row.items()} for row in rows)
 
 
 def check(config: Config) -> None:
