@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mrtask.execution.trials import key_seed
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import ANY_SAFE, RobotStatus
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
@@ -81,14 +82,18 @@ class Optima:
 
 
 class ClosedLoop(ExactSolver):
-    """The expected makespan when a planner makes all decisions, over every outcome of every search."""
+    """The expected makespan when a planner makes all decisions, over every outcome of every search.
+
+    As in an episode, each decision has a seed of its own.
+    """
 
     def __init__(self, problem, planner, seed):
         super().__init__(problem, problem.presence_prob)
-        self.planner, self.seed = planner, seed
+        self.planner, self.seed, self.decisions = planner, seed, 0
 
     def _decide(self, state):
-        plan = self.planner.plan(self._seen(state), self.seed)
+        self.decisions += 1
+        plan = self.planner.plan(self._seen(state), key_seed(self.seed, self.decisions))
         for robot, action in first_actions("pouct", plan).items():
             state = self._act(state, robot, action)
         return self._expected(replace(state, undecided=frozenset()))
