@@ -257,7 +257,8 @@ def _reliability(context: Context) -> tuple[dict[str, Any], ...]:
 def check(config: Config) -> None:
     """Refuse a task that is none, homes that are not there, and a store that cannot be used."""
     plans.check(config.evaluation)
-    runs.check_store(config)
+    if not runs.is_new(config.tracking.uri):  # a new one holds no model, and refusing it must not make it
+        runs.check_store(config)
 
 
 STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)

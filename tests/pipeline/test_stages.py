@@ -285,7 +285,7 @@ def test_a_start_that_fails_changes_nothing(
 
 def test_without_a_model_nothing_is_left_behind(cli: Cli, tmp_path: Path) -> None:
     refused = cli("evaluate", "output_dir=outputs/bare")
-    assert refused.code == 2 and "train one with python -m pipeline.train" in refused.err
+    assert refused.code == 2 and "python -m pipeline.train trains one" in refused.err
     assert not list(tmp_path.iterdir())
 
 
