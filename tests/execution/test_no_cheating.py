@@ -123,7 +123,7 @@ def trials(generated_homes):
     for number, robots in enumerate((1, 2, 3)):
         order = home_order(generated_homes, "medium", robots, 0)
         trial = sample_trial("medium", robots, number, order, lambda home: maps[home.id], seed=0)
-        trial = replace(trial, team=Team(robots, RobotSpec(1.0, float(number), float(number))))
+        trial = replace(trial, team=Team.alike(robots, RobotSpec(1.0, float(number), float(number))))
         home = next(home for home in generated_homes if home.id == trial.home_id)
         likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
         result.append((trial, home, maps[home.id], likelihood))

@@ -335,7 +335,7 @@ class FastSolver:
             return np.array([sum(1 << o for o in objects) for objects in sets], dtype=np.int64)
 
         self.task = Task(
-            np.ascontiguousarray(problem.travel_s),
+            np.ascontiguousarray(problem.kinds[0].travel_s),
             np.ascontiguousarray(prob),
             slow.delta.astype(np.int64),
             slow.accepting.astype(np.int64),
@@ -344,8 +344,8 @@ class FastSolver:
             masks(slow.needed),
             np.asarray(slow.steps, dtype=np.int64),
             len(problem.robots),
-            float(problem.search_time_s),
-            float(problem.interact_time_s),
+            float(problem.kinds[0].search_time_s),
+            float(problem.kinds[0].interact_time_s),
         )
         containers = len(problem.searched)
         self.wholes = np.zeros((DEPTH, HEADER + containers + WIDTH * len(problem.robots)), dtype=np.int64)

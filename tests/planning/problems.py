@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
@@ -41,15 +41,13 @@ def make_problem(formula, names, points, starts, prob, *, searched=(), **times):
     automaton = build_automaton(formula, names)
     done = np.zeros(len(points), dtype=bool)
     done[list(searched)] = True
-    travel_s = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    kind = RobotKind(np.hypot(*(points[:, None] - points).transpose(2, 0, 1)), **times)
     robots = []
     for start in starts:
         away_s = np.hypot(*(points - start).T)
         at = np.flatnonzero(away_s == 0)
         robots.append(RobotStatus(away_s, place=int(at[0]) if len(at) else -1))
-    return PlanningProblem(
-        automaton, automaton.initial, np.asarray(prob, dtype=float), done, travel_s, tuple(robots), **times
-    )
+    return PlanningProblem(automaton, automaton.initial, np.asarray(prob, dtype=float), done, (kind,), tuple(robots))
 
 
 def tiny_problem(number):

@@ -37,7 +37,7 @@ def odd_problem(seed):
     prob[rng.random(prob.shape) < 0.1] = 1.0
     searched[[0, 1]] = True
     prob[[0, 1]] = rng.random((2, prob.shape[1])) < 0.6
-    travel_s = problem.travel_s.copy()
+    travel_s = problem.kinds[0].travel_s.copy()
     travel_s[5, :5] = travel_s[:5, 5] = np.inf
     away_s = np.append(problem.robots[0].travel_s[:5], np.inf)
     team = (
@@ -48,7 +48,8 @@ def odd_problem(seed):
         if seed % 2
         else RobotStatus(travel_s[3], place=3, free=False, remaining_s=0.6),
     )
-    return replace(problem, presence_prob=prob, searched=searched, travel_s=travel_s, robots=team)
+    kinds = (replace(problem.kinds[0], travel_s=travel_s),)
+    return replace(problem, presence_prob=prob, searched=searched, kinds=kinds, robots=team)
 
 
 PROBLEMS = [*(pytest.param(tiny_problem(number), id=f"tiny-{number}") for number in range(20)),

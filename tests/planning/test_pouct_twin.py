@@ -32,7 +32,7 @@ def compare(problem, seed, planner, monkeypatch):
     plan = planner.plan(problem, seed)
     naive = NaivePouct(problem, team_model(problem).prob, seed, planner)
     tree = naive.run(planner.samples)
-    unnamed = NONE_UNNAMED if problem.interact_time_s > 0 else ANY_SAFE
+    unnamed = NONE_UNNAMED if problem.interacting_takes_time else ANY_SAFE
     seen = {assignment: (visits, mean_s) for assignment, visits, mean_s, _ in plan.info.root}
     expected = {}
     for edge in tree.edges:

@@ -18,7 +18,7 @@ HARD = (28, 255, 271)
 def test_the_compiled_solver_equals_the_plain_one(first):
     for number in range(first, first + 6):
         problem = tiny_problem(number)
-        if len(problem.robots) * len(problem.searched) > (2 if problem.interact_time_s else 4):
+        if len(problem.robots) * len(problem.searched) > (2 if problem.interacting_takes_time else 4):
             continue  # plain Python would take too long
         fast, slow = FastSolver(problem, problem.presence_prob), ExactSolver(problem, problem.presence_prob)
         assert fast.optimum() == pytest.approx(slow.optimum(), rel=1e-12)
