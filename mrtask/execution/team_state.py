@@ -312,7 +312,7 @@ class TeamState:
         return self._kinds[kind]
 
     def _touchable(self, robots: Sequence[Robot], ways_s: Sequence[NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return [C, O] whether one of the robots, with these ways [C], gets to the container and touches the object."""
+        """Return [C, O] whether a robot can get to the container and touch the object; ways_s [R, C] are its ways."""
         touchable = np.zeros(self.belief.presence_prob.shape, dtype=bool)
         for robot, way_s in zip(robots, ways_s, strict=True):
             touchable |= np.isfinite(way_s)[:, None] & robot.spec.can_touch(self.labels.objects)
