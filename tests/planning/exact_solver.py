@@ -146,7 +146,9 @@ class ExactSolver:
             if useful & self.safe[state.z] or (useful - self.advancing[state.z] and not ready):
                 yield c
         for o in (self.advancing[state.z] - self.safe[state.z]) & handles:
-            places = [c for c, held in enumerate(state.held) if held and o in held]
+            places = [
+                c for c, held in enumerate(state.held) if held and o in held and self._distance(state, r, c) < inf
+            ]
             if places:
                 yield (min(places, key=lambda c: self._distance(state, r, c)), o)
         others = [index for index in range(len(state.robots)) if index != r]

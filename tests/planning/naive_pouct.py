@@ -4,7 +4,7 @@ How a team's actions unfold is taken from the exact solver, with contents drawn 
 looks at every pair of robot and action again whenever it chooses; the tree is made of objects.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, log, prod, sqrt
 
 import numpy as np
@@ -78,6 +78,9 @@ class NaivePouct(ExactSolver):
         self.most = min(options.samples + 1, options.max_nodes)  # nodes, and as many edges
         self.nodes, self.edges = 1, 0
         self.nearer, self.worth = worth_doing(problem)
+        ways = [*(row for kind in self.kinds for row in kind.travel_s), *(robot.travel_s for robot in problem.robots)]
+        longest = max((s for row in ways for s in row if s < inf), default=1.0)
+        self.penalty = len(problem.searched) * (longest + max(kind.search_time_s for kind in self.kinds))
         self.tree = Node(self.first_to_decide(self.root))
 
     def run(self, samples):
@@ -267,7 +270,10 @@ class NaivePouct(ExactSolver):
         """(state, done) at the next decision instant, contents drawn."""
         done = False
         while not (done or state.undecided):
+            began = state.clock
             [(_, state, done)] = self._advance(state, freed=False, news=False)
+            if state.clock == inf:  # nobody does anything any more
+                state = replace(state, clock=began + self.penalty)
         return state, done
 
     def _contents(self, state, container):

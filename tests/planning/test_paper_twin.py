@@ -16,7 +16,7 @@ from mrtask.planning.shared_kernel import any_undecided
 from mrtask.planning.tree import edges_of
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
 from tests.planning.naive_random import SplitMix64
-from tests.planning.problems import random_problem, tiny_problem
+from tests.planning.problems import random_problem, tiny_problem, unlike
 
 act, any_undecided, copy_belief = compiled(kernel.act), compiled(any_undecided), compiled(kernel.copy_belief)
 decision_node, mark_undecided = compiled(kernel.decision_node), compiled(kernel.mark_undecided)
@@ -53,7 +53,9 @@ def odd_problem(seed):
 
 
 PROBLEMS = [*(pytest.param(tiny_problem(number), id=f"tiny-{number}") for number in range(20)),
-            *(pytest.param(odd_problem(seed), id=f"odd-{seed}") for seed in range(8))]  # fmt: skip
+            *(pytest.param(odd_problem(seed), id=f"odd-{seed}") for seed in range(8)),
+            *(pytest.param(unlike(tiny_problem(number), number, abilities=False), id=f"unlike-{number}")
+              for number in range(4, 12))]  # fmt: skip
 
 
 def test_the_random_numbers_are_splitmix64():
