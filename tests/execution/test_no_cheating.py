@@ -74,8 +74,9 @@ class Watched:
         other = simulation.elsewhere()
         rebuilt = other.problem()
         assert_equal_fields(rebuilt, problem)
-        for seen, again in zip(problem.robots, rebuilt.robots, strict=True):
-            assert_equal_fields(seen, again)
+        for part in ("robots", "kinds"):
+            for seen, again in zip(getattr(problem, part), getattr(rebuilt, part), strict=True):
+                assert_equal_fields(seen, again)
         again = self.planner.plan(rebuilt, seed)
         assert again.assignments == plan.assignments
         np.testing.assert_equal(again.info.root, plan.info.root)
@@ -85,7 +86,7 @@ class Watched:
 
 def assert_equal_fields(one, other):
     for item in fields(one):
-        if item.name != "robots":
+        if item.name not in ("robots", "kinds"):
             np.testing.assert_equal(getattr(one, item.name), getattr(other, item.name))
 
 
