@@ -30,17 +30,6 @@ STATE = np.dtype(
 )
 
 
-MEMBER = np.dtype(
-    [
-        ("rows", np.int64),  # the first row of the robot's kind in `travel_s` of the search's model
-        ("handles", np.int64),  # mask of the objects that it can touch
-        ("search_time_s", np.float64),
-        ("interact_time_s", np.float64),
-    ],
-    align=True,
-)
-
-
 class Sample(Protocol):
     """The fields that `team_kernel.World` and the paper's `PaperBelief` have in common."""
 

@@ -36,12 +36,16 @@ ROBOT = np.dtype(
     [
         ("until_s", np.float64),  # time of the robot's next event
         ("since_s", np.float64),  # time of departure of a robot under way
+        ("search_time_s", np.float64),
+        ("interact_time_s", np.float64),
         ("mode", np.int64),
         ("place", np.int64),  # container at which a robot stands or to which it moves, NONE anywhere else
         ("want", np.int64),  # object of a named interaction, NONE to make every automatic one
         ("doing", np.int64),  # object being interacted with
         ("origin", np.int64),  # row of `Model.travel_s` of the place of departure, NONE: see `World.away`
         ("undecided", np.int64),
+        ("rows", np.int64),  # the first row of the robot's kind in `Model.travel_s`
+        ("handles", np.int64),  # mask of the objects that it can touch
     ],
     align=True,
 )
@@ -51,7 +55,6 @@ class Model(NamedTuple):
     """The data that do not change while planning (legend: K kinds of robots)."""
 
     travel_s: Floats  # [K * C, C]
-    members: Records  # [R] of `shared_kernel.MEMBER`
     touchable: Ints  # [C] masks of the objects that a robot which can get there can touch
     prob: Floats  # [C, O], strictly inside (0, 1); rows of searched containers are not read
     transitions: Ints  # [Z, O]
@@ -89,7 +92,7 @@ def distance_s(model: Model, world: World, r: int, c: int) -> float:
     start = world.away[r, c] if origin == NONE else model.travel_s[origin, c]
     if robot.mode != MOVING:
         return start
-    ahead = robot.until_s - world.clock[0] + model.travel_s[model.members[r].rows + robot.place, c]
+    ahead = robot.until_s - world.clock[0] + model.travel_s[robot.rows + robot.place, c]
     back = world.clock[0] - robot.since_s + start
     return min(ahead, back)
 
@@ -98,7 +101,7 @@ def distance_s(model: Model, world: World, r: int, c: int) -> float:
 def nearest_holding(model: Model, world: World, r: int, obj: int) -> int:
     """Return the nearest container known to hold an object that the robot can touch, or NONE if none is in reach."""
     best, best_s = NONE, np.inf
-    if (model.members[r].handles >> obj) & 1 == 0:
+    if (world.robots[r].handles >> obj) & 1 == 0:
         return best
     for c in range(world.containers.size):
         if (world.containers[c].holds >> obj) & 1:
@@ -171,7 +174,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
     """Start the interaction nearest to acceptance that a robot's action allows here, and return whether it began."""
     robot = world.robots[r]
     z = world.state[AUTOMATON]
-    here = world.containers[robot.place].holds & model.members[r].handles
+    here = world.containers[robot.place].holds & robot.handles
     if robot.want == NONE:
         here &= model.states[z].automatic
     else:
@@ -189,7 +192,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
         return False
     robot.mode = INTERACTING
     robot.doing = best
-    robot.until_s = world.clock[0] + model.members[r].interact_time_s
+    robot.until_s = world.clock[0] + robot.interact_time_s
     return True
 
 
@@ -207,11 +210,11 @@ def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
     """Handle one robot's due event, and return whether it frees the robot."""
     robot = world.robots[r]
     if robot.mode == MOVING:
-        robot.origin = model.members[r].rows + robot.place
+        robot.origin = robot.rows + robot.place
         if world.containers[robot.place].searched == 0:
             robot.mode = SEARCHING
-            robot.until_s += model.members[r].search_time_s
-            if model.members[r].search_time_s > 0.0:
+            robot.until_s += robot.search_time_s
+            if robot.search_time_s > 0.0:
                 return False
     if robot.mode == SEARCHING:
         if world.containers[robot.place].searched == 0:

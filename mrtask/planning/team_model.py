@@ -1,6 +1,7 @@
 """Translate a planning problem into the terms of the team's compiled simulation, and back."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrtask.arrays import Bools, Floats, Ints
 from mrtask.planning import team_kernel as kernel
@@ -14,7 +15,7 @@ from mrtask.planning.problem import (
     safe,
     worth_interacting,
 )
-from mrtask.planning.shared_kernel import AUTOMATON, MEMBER, NONE, STATE
+from mrtask.planning.shared_kernel import AUTOMATON, NONE, STATE
 from mrtask.tasks.automaton import Automaton
 
 MIN_PROB = 1e-6
@@ -42,7 +43,6 @@ def team_model(problem: PlanningProblem, decide_all: bool = False) -> kernel.Mod
     prob[~reachable] = 0.0
     return kernel.Model(
         travel_s=ways_s(problem),
-        members=member_records(problem),
         touchable=masks(problem.touchable),
         prob=prob,
         transitions=automaton.transitions.astype(np.int64),
@@ -57,15 +57,14 @@ def ways_s(problem: PlanningProblem) -> Floats:
     return np.concatenate([kind.travel_s for kind in problem.kinds]).astype(np.float64)
 
 
-def member_records(problem: PlanningProblem) -> Records:
-    """Return the robots' ways, times and abilities as kernels know them, [R]."""
+def kind_fields(problem: PlanningProblem) -> dict[str, ArrayLike]:
+    """Return what robots' records say of their kinds, each [R]: the first row in `ways_s`, and the times."""
     kinds = [problem.kinds[robot.kind] for robot in problem.robots]
-    records = blank_records(len(kinds), MEMBER)
-    records.rows[:] = [robot.kind * len(problem.searched) for robot in problem.robots]
-    records.handles[:] = masks(problem.handles)
-    records.search_time_s[:] = [kind.search_time_s for kind in kinds]
-    records.interact_time_s[:] = [kind.interact_time_s for kind in kinds]
-    return records
+    return {
+        "rows": [robot.kind * len(problem.searched) for robot in problem.robots],
+        "search_time_s": [kind.search_time_s for kind in kinds],
+        "interact_time_s": [kind.interact_time_s for kind in kinds],
+    }
 
 
 def stuck_penalty_s(problem: PlanningProblem) -> float:
@@ -89,7 +88,7 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
         record.place, record.want, record.until_s = robot.place, NONE, np.inf
-        record.origin = NONE if robot.place < 0 else model.members[index].rows + robot.place
+        record.origin = NONE if robot.place < 0 else record.rows + robot.place
         if robot.interaction >= 0:
             record.want = robot.interaction
         root.away[index] = robot.travel_s
@@ -125,13 +124,15 @@ def blank_world(problem: PlanningProblem) -> kernel.World:
             want=NONE,
             doing=NONE,
             origin=NONE,
+            handles=masks(problem.handles),
+            **kind_fields(problem),
         ),
         away=np.zeros((robots, containers)),
     )
 
 
-def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Records:
-    """Return ``count`` records whose fields are 0, except for the given values."""
+def blank_records(count: int, dtype: np.dtype[np.void], **values: ArrayLike) -> Records:
+    """Return ``count`` records whose fields are 0, except for the given values, one for all or one each."""
     records = np.zeros(count, dtype=dtype).view(np.recarray)
     for name, value in values.items():
         records[name] = value

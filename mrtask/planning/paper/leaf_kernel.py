@@ -166,7 +166,7 @@ def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
         theirs.mode, theirs.place, theirs.undecided = team.FREE, place, ours.undecided
         theirs.want, theirs.doing, theirs.until_s = NONE, NONE, np.inf
         theirs.since_s = ours.since_s
-        theirs.origin = NONE if place == NONE else rollouts.model.members[r].rows + place
+        theirs.origin = NONE if place == NONE else theirs.rows + place
         if ours.under_way:
             theirs.mode, theirs.until_s, theirs.origin = team.MOVING, ours.reach_s, ours.origin
         elif obj != NONE:

@@ -13,8 +13,8 @@ from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_model import (
     blank_records,
     blank_world,
+    kind_fields,
     masks,
-    member_records,
     state_records,
     stuck_penalty_s,
     team_model,
@@ -49,7 +49,6 @@ def paper_model(
     prob = _search_prob(problem, round_decimals)
     return kernel.PaperModel(
         travel_s=ways_s(problem),
-        members=member_records(problem),
         prob=prob,
         possible=masks(prob > 0),
         transitions=automaton.transitions.astype(np.int64),
@@ -79,7 +78,7 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
         record = root.robots[index]
         kind = problem.kinds[robot.kind]
         record.place = robot.place
-        record.origin = NONE if robot.place < 0 else model.members[index].rows + robot.place
+        record.origin = NONE if robot.place < 0 else record.rows + robot.place
         if robot.free:
             record.undecided = 1
         elif robot.target >= 0:
@@ -106,7 +105,7 @@ def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
         state=np.zeros(3, dtype=np.int64),
         containers=blank_records(containers, kernel.CONTAINER),
         nowhere=np.ones(objects),
-        robots=blank_records(robots, kernel.ROBOT, place=NONE, obj=NONE, origin=NONE),
+        robots=blank_records(robots, kernel.ROBOT, place=NONE, obj=NONE, origin=NONE, **kind_fields(problem)),
         away=np.array([robot.travel_s for robot in problem.robots], dtype=np.float64),
     )
 
