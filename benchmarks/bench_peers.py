@@ -84,7 +84,7 @@ class Domain:
         self.reachable = np.flatnonzero(np.isfinite(self.from_start_s)).tolist()
 
     def travel_s(self, place: int, container: int) -> float:
-        ways_s = self.from_start_s if place < 0 else self.problem.travel_s[place]
+        ways_s = self.from_start_s if place < 0 else self.problem.kinds[0].travel_s[place]
         return float(ways_s[container])
 
     def after(self, state: Where, action: GoTo) -> Where:

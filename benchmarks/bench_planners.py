@@ -16,7 +16,7 @@ import time
 import numpy as np
 
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import make_formula
 
@@ -37,11 +37,11 @@ def random_problem(robots: int, containers: int, seed: int = 0) -> PlanningProbl
     rng = np.random.default_rng(seed)
     automaton = build_automaton(make_formula("and3", OBJECTS), OBJECTS)
     points, start = rng.random((containers, 2)) * 12, rng.random(2) * 12
-    travel_s = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    kinds = (RobotKind(np.hypot(*(points[:, None] - points).transpose(2, 0, 1))),)
     away_s = np.hypot(*(points - start).T)
     likelihood = rng.beta(0.3, 3.0, (containers, len(OBJECTS)))
     team = tuple(RobotStatus(away_s) for _ in range(robots))
-    return PlanningProblem(automaton, automaton.initial, likelihood, np.zeros(containers, dtype=bool), travel_s, team)
+    return PlanningProblem(automaton, automaton.initial, likelihood, np.zeros(containers, dtype=bool), kinds, team)
 
 
 def samples_per_second(planner_name: str, problem: PlanningProblem, samples: int) -> float:

@@ -53,7 +53,7 @@ def run(arguments: Sequence[str]) -> None:
         options.map_of(home),
         options.model(),
         options.task,
-        Team(options.robots, options.spec),
+        Team.alike(options.robots, options.spec),
         start_m=options.start,
         objects=options.objects,
         seed=options.seed,

@@ -77,9 +77,9 @@ class Belief:
         return self._set(container, obj, 0.0)
 
     def found(self, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-        """Return [O] whether some searched container (of those ``among`` [C]) is believed to hold the object."""
+        """Return [O] whether some searched container is believed to hold the object, ``among`` these [C, O]."""
         there = (self.presence_prob > 0) & self.searched[:, None]
-        return np.asarray((there if among is None else there & among[:, None]).any(axis=0))
+        return np.asarray((there if among is None else there & among).any(axis=0))
 
     def look_again(self, missing: NDArray[np.bool_], reachable: NDArray[np.bool_]) -> None:
         """Reopen searched containers where a missing object may have been overlooked and no open container is likelier.

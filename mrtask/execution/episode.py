@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.simulation import Simulation
+from mrtask.execution.team_spec import MakeMap
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
@@ -41,6 +42,7 @@ class EpisodeResult:
     status: str
     cost_s: float | None
     cost_cells: float | None
+    """The cost in the paper's unit; None also where the robots differ in speed."""
     decisions: int
     planning_s: float
     samples: int
@@ -59,6 +61,7 @@ class Episode:
         name: the planner's name; the seeds of its plans depend on it.
         known: whether the planner sees the true contents from the start.
         max_decisions: the episode fails if the task is not done after this many.
+        make_map: returns the home's map for robots of another width, whose radius it takes; by default it is built.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Episode:
         *,
         known: bool = False,
         max_decisions: int = MAX_DECISIONS,
+        make_map: MakeMap | None = None,
     ) -> None:
         self.trial, self.name = trial, name
         self.decisions, self.samples = 0, 0
@@ -84,11 +88,12 @@ class Episode:
             np.array([[obj in container.objects for obj in trial.objects] for container in home.containers]),
             team=trial.team,
             start_cell=trial.start_cell,
+            make_map=make_map,
             known=known,
             known_containers=trial.known,
             seed=trial.seed,
         )
-        self._reachable, self._max_decisions, self._idle_decisions = home_map.reachable, max_decisions, 0
+        self._max_decisions, self._idle_decisions = max_decisions, 0
 
     @property
     def done(self) -> bool:
@@ -140,11 +145,12 @@ class Episode:
             raise ValueError(f"the episode is not done after {self.decisions} decisions; step it until `done` is true")
         trace = self._simulation.trace()
         cost_s = _cost_s(self.trial, self.time_s, trace) if self.error is None else None
+        speed_m_per_s = self.trial.team.speed_m_per_s
         return EpisodeResult(
             planner=self.name,
             status="accepted" if self.error is None else "failed",
             cost_s=cost_s,
-            cost_cells=None if cost_s is None else cost_s * self.trial.team.spec.speed_m_per_s / CELL_M,
+            cost_cells=None if cost_s is None or speed_m_per_s is None else cost_s * speed_m_per_s / CELL_M,
             decisions=self.decisions,
             planning_s=planning_s,
             samples=self.samples,
@@ -155,7 +161,7 @@ class Episode:
 
     def _stuck(self) -> str:
         missing = self._simulation.missing()
-        if missing and self._simulation.searched[self._reachable].all():
+        if missing and self._simulation.searched[self._simulation.in_reach].all():
             return f"found in no container that can be reached: {', '.join(missing)}"
         return "every robot waits and none is under way"
 
@@ -170,6 +176,7 @@ def run_episode(
     *,
     max_decisions: int = MAX_DECISIONS,
     observe: Observer | None = None,
+    make_map: MakeMap | None = None,
 ) -> EpisodeResult:
     """Run a trial with a planner.
 
@@ -184,7 +191,10 @@ def run_episode(
     """
     full = as_planner(planner)
     name = name or planner_name(full)
-    episode = Episode(trial, home, home_map, likelihood, name, known=full.knows_contents, max_decisions=max_decisions)
+    known = full.knows_contents
+    episode = Episode(
+        trial, home, home_map, likelihood, name, known=known, max_decisions=max_decisions, make_map=make_map
+    )
     planning_s = 0.0
     while not episode.done:
         problem = episode.problem
@@ -197,10 +207,17 @@ def run_episode(
     return episode.result(planning_s)
 
 
-def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans | str) -> None:
+def warm_up(
+    trial: Trial,
+    home: Home,
+    home_map: HomeMap,
+    likelihood: Likelihood,
+    planner: Plans | str,
+    make_map: MakeMap | None = None,
+) -> None:
     """Let a planner compile its kernels on a trial's first decision. Takes and raises what `run_episode` does."""
     full = as_planner(planner)
-    full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents).problem)
+    full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents, make_map=make_map).problem)
 
 
 def _matrix(likelihood: Likelihood, home: Home, objects: tuple[str, ...]) -> NDArray[np.float64]:

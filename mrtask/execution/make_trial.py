@@ -41,7 +41,7 @@ def make_trial(
         ValueError: a team without robots.
     """
     objects = {held for container in home.containers for held in container.objects}
-    team = Team(robots, robot or RobotSpec())
+    team = Team.alike(robots, robot)
     return trial_of(name, home, home_map, read_task(task, objects, ()), team, start_m=start_m, seed=seed)
 
 

@@ -38,6 +38,8 @@ class Robot:
     position: Position
     """Where the robot stands, or where it set out on its route."""
     spec: RobotSpec
+    usable: NDArray[np.bool_]
+    """[C] the containers whose types it opens."""
     home_map: HomeMap
     """Its ways. They are the team's, unless it stands where the team's map has no floor."""
     labels: Labels
@@ -76,11 +78,12 @@ class Robot:
 
     def can_reach(self, container: int, position: Position) -> bool:
         """Return whether a way leads from its position to the container."""
-        return bool(np.isfinite(position.distances_m(self.home_map)[container]))
+        return bool(self.usable[container] and np.isfinite(position.distances_m(self.home_map)[container]))
 
     def travel_s(self, now_s: float) -> NDArray[np.float64]:
         """Return the times [C] from the robot's position to each container; inf if unreachable."""
-        return self.position_at(now_s).distances_m(self.home_map) / self.spec.speed_m_per_s
+        distances_m = self.position_at(now_s).distances_m(self.home_map)
+        return np.where(self.usable, distances_m / self.spec.speed_m_per_s, np.inf)
 
     def options_s(self, now_s: float) -> NDArray[np.float64]:
         """Return `travel_s` with inf also for the containers [C] that it leaves alone after a failure."""

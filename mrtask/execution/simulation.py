@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
+from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
-from mrtask.execution.team_spec import Team
+from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
 from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import key_seed
@@ -29,6 +30,8 @@ class Simulation:
     Args:
         truth: [C, O] whether the container holds the task object.
         likelihood: [C, O] the prior that planners see.
+        start_cell: where robots start that have no start of their own.
+        make_map: as `maps_for` takes it.
         known: whether the team knows the truth from the start, so that no container needs a search.
         known_containers: containers that need no search in any case.
         seed: decides what searches detect where they can err.
@@ -44,21 +47,25 @@ class Simulation:
         *,
         team: Team,
         start_cell: tuple[int, int],
+        make_map: MakeMap | None = None,
         known: bool = False,
         known_containers: Sequence[int] = (),
         seed: int = 0,
     ) -> None:
         self.truth, self._seed = truth, seed
-        seen = {*known_containers, *(np.flatnonzero(home_map.reachable).tolist() if known else ())}
-        sensor = team.spec.perception.sensor(automaton.propositions)
+        maps = maps_for(team, home, home_map, make_map)
+        self.in_reach = in_reach(team, home, maps)
+        """[C] whether some robot can get to the container and use it."""
+        seen = {*known_containers, *(np.flatnonzero(self.in_reach).tolist() if known else ())}
+        sensor = team.perception.sensor(automaton.propositions)
         known_rows = {container: truth[container] for container in sorted(seen)}
         self.team = TeamState(
-            [container.id for container in home.containers],
-            home_map,
+            home.containers,
+            maps,
             automaton,
-            prior_belief(likelihood, home_map.reachable, sensor, known_rows),
-            spec=team.spec,
-            starts=[Position.at(start_cell)] * team.robots,
+            prior_belief(likelihood, self.in_reach, sensor, known_rows),
+            specs=team.members,
+            starts=[_start(member, maps, start_cell) for member in team.members],
         )
         self._decide_again = False
 
@@ -157,3 +164,11 @@ class Simulation:
                 break
         self.team.release()
         return failed
+
+
+def _start(member: RobotSpec, maps: Maps, start_cell: tuple[int, int]) -> Position:
+    """Return where a robot starts; where it does not fit, the nearest place where it does."""
+    own = maps[member.radius_m]
+    if member.start_m is not None:
+        return Position.at(free_cell_near(own, member.start_m))
+    return Position.at(start_cell if own.free[start_cell] else free_cell_near(own, own.cell_center(start_cell), np.inf))

@@ -21,10 +21,11 @@ from mrtask.execution.letters import serving_order
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Labels, Robot
 from mrtask.execution.setbacks import NAVIGATE, SEARCH
-from mrtask.execution.team_spec import RobotSpec
+from mrtask.execution.team_spec import Maps, RobotSpec
 from mrtask.execution.trace import Letter, Trace
+from mrtask.homes.home import Container
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotStatus, safe
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotKind, RobotStatus, safe
 from mrtask.tasks.automaton import Automaton
 
 
@@ -35,32 +36,34 @@ class TeamState:
     which the caller advances. `start_interactions` and `release` follow the events of one instant.
 
     Args:
-        containers: [C] the containers' names.
+        maps: the home's map, and those for robots of another width.
         belief: from `prior_belief`; it is changed.
+        specs: [R] the robots, at ``starts`` [R].
         one_per_letter: whether a robot interacts only where that still advances the task after what others are doing.
             Simulated robots do not know that, so two may interact where one letter is wanted.
     """
 
     def __init__(
         self,
-        containers: Sequence[str],
-        home_map: HomeMap,
+        containers: Sequence[Container],
+        maps: Maps,
         automaton: Automaton,
         belief: Belief,
         *,
-        spec: RobotSpec,
+        specs: Sequence[RobotSpec],
         starts: Sequence[Position],
         one_per_letter: bool = False,
     ) -> None:
-        self.automaton, self.spec, self.belief = automaton, spec, belief
-        self.labels = Labels(tuple(containers), automaton.propositions)
+        self.automaton, self.belief = automaton, belief
+        self.furniture = tuple(containers)
+        self.labels = Labels(tuple(container.id for container in containers), automaton.propositions)
         self.time_s = 0.0
         self.robots: list[Robot] = []
-        self.use_map(home_map)
-        self.robots += [self.new_robot(start) for start in starts]
+        self.use_maps(maps)
+        self.robots += [self.new_robot(start, spec) for start, spec in zip(starts, specs, strict=True)]
         self._safe, self.one_per_letter = safe(automaton), one_per_letter
         self.state = automaton.initial
-        self.start = starts[0].point(home_map)
+        self.start = starts[0].point(self.home_map)
         self.letters: list[Letter] = []
         self.news = False
         """Whether anything was learned or done since the last decision."""
@@ -82,17 +85,17 @@ class TeamState:
 
     def problem(self) -> PlanningProblem:
         """Return what a planner may know now, of the `active` robots. What none of them can get to holds nothing."""
-        robots = tuple(self._status(self.robots[index]) for index in self.active)
+        active = [self.robots[index] for index in self.active]
+        kinds = list(dict.fromkeys(robot.spec.kind for robot in active))
+        robots = tuple(self._status(robot, kinds.index(robot.spec.kind)) for robot in active)
         reach = _finite([robot.travel_s for robot in robots], len(self.containers))
         return PlanningProblem(
             automaton=self.automaton,
             state=self.state,
             presence_prob=np.where(reach[:, None], self.belief.presence_prob, 0.0),
             searched=self.belief.searched.copy(),
-            travel_s=self._travel_s,
+            kinds=tuple(self._kind(kind) for kind in kinds),
             robots=robots,
-            search_time_s=self.spec.search_time_s,
-            interact_time_s=self.spec.interact_time_s,
             may_redirect=self.news,
         )
 
@@ -229,33 +232,38 @@ class TeamState:
         robot.lose(self.time_s)
         self.news = True
 
-    def join(self, position: Position, robot: Robot | None = None) -> Robot:
-        """Let a new robot, or a lost one, take part from now on, free at this position."""
-        if robot is None:
-            robot = self.new_robot(position)
+    def join(self, position: Position, robot: Robot) -> Robot:
+        """Let a `new_robot`, or a lost one, take part from now on, free at this position."""
+        if not any(robot is one for one in self.robots):
             self.robots.append(robot)
         robot.join(position, self.time_s)
         self.news = True
         return robot
 
-    def new_robot(self, position: Position) -> Robot:
-        """Return a robot like the others at this position, which is not in the team yet."""
-        return Robot(position, self.spec, self.home_map, self.labels, since_s=self.time_s)
+    def new_robot(self, position: Position, spec: RobotSpec) -> Robot:
+        """Return a robot at this position, which is not in the team yet."""
+        usable, home_map = spec.can_use(self.furniture), self.maps[spec.radius_m]
+        return Robot(position, spec, usable, home_map, self.labels, since_s=self.time_s)
 
-    def use_map(self, home_map: HomeMap) -> None:
-        """Use the ways and travel times of this map, which has the same containers."""
-        self.home_map = home_map
-        self._travel_s = home_map.travel_m / self.spec.speed_m_per_s
+    @property
+    def home_map(self) -> HomeMap:
+        """The home's own map."""
+        return self.maps[None]
+
+    def use_maps(self, maps: Maps) -> None:
+        """Use the ways and travel times of these maps, which have the same containers."""
+        self.maps = maps
+        self._kinds: dict[RobotSpec, RobotKind] = {}
         for robot in self.robots:
-            robot.home_map = home_map
+            robot.home_map = maps[robot.spec.radius_m]
 
-    def take_other_ways(self, home_map: HomeMap, own: Mapping[int, HomeMap]) -> None:
+    def take_other_ways(self, maps: Maps, own: Mapping[int, HomeMap]) -> None:
         """Take in that the ways changed under the team.
 
         The robots in ``own`` (number -> the map for where the robot is) continue from where they are. A robot under way
         that can no longer get to its container is free.
         """
-        self.use_map(home_map)
+        self.use_maps(maps)
         self.news = True
         for number, own_map in own.items():
             self.take_own_map(self.robots[number], own_map)
@@ -266,16 +274,18 @@ class TeamState:
         robot.go_on(robot.position_at(self.time_s), self.time_s)
 
     def missing(self) -> list[str]:
-        """Return the task objects that advance the task now but were found in no container that can be reached."""
+        """Return the objects that advance the task now and were found nowhere a robot can get to and touch them."""
         return [self.labels.objects[obj] for obj in np.flatnonzero(self._lacking())]
 
     def useful(self) -> NDArray[np.bool_]:
         """Return the containers [C] at which robots that can get there could do something, failed there or not."""
-        ways_s = [self.robots[index].travel_s(self.time_s) for index in self.active]
-        reach = _finite(ways_s, len(self.containers))
+        robots = [self.robots[index] for index in self.active]
+        ways_s = [robot.travel_s(self.time_s) for robot in robots]
+        touchable = self._touchable(robots, ways_s)
         advancing = self.automaton.advancing[self.state]
-        wanted = (self.belief.presence_prob[:, advancing] > 0).any(axis=1)
-        missing = bool((advancing & ~self.belief.found(reach)).any())
+        wanted = ((self.belief.presence_prob > 0) & touchable)[:, advancing].any(axis=1)
+        missing = bool((advancing & ~self.belief.found(touchable)).any())
+        reach = _finite(ways_s, len(self.containers))
         return np.asarray(reach & np.where(self.belief.searched, wanted, missing))
 
     def trace(self) -> Trace:
@@ -284,15 +294,38 @@ class TeamState:
 
     def _lacking(self) -> NDArray[np.bool_]:
         """Return the objects [O] that `missing` names."""
-        return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found(self._within_reach()))
+        robots = [self.robots[index] for index in self.active]
+        touchable = self._touchable(robots, [robot.options_s(self.time_s) for robot in robots])
+        return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found(touchable))
 
-    def _status(self, robot: Robot) -> RobotStatus:
+    def _kind(self, kind: RobotSpec) -> RobotKind:
+        """Return the ways, times and abilities of a kind of robots."""
+        if kind not in self._kinds:
+            usable = kind.can_use(self.furniture)
+            travel_s = self.maps[kind.radius_m].travel_m / kind.speed_m_per_s
+            self._kinds[kind] = RobotKind(
+                travel_s=np.where(usable & usable[:, None], travel_s, np.inf),
+                search_time_s=kind.search_time_s,
+                interact_time_s=kind.interact_time_s,
+                handles=None if kind.handles is None else kind.can_touch(self.labels.objects),
+            )
+        return self._kinds[kind]
+
+    def _touchable(self, robots: Sequence[Robot], ways_s: Sequence[NDArray[np.float64]]) -> NDArray[np.bool_]:
+        """Return [C, O] whether a robot can get to the container and touch the object; ways_s [R, C] are its ways."""
+        touchable = np.zeros(self.belief.presence_prob.shape, dtype=bool)
+        for robot, way_s in zip(robots, ways_s, strict=True):
+            touchable |= np.isfinite(way_s)[:, None] & robot.spec.can_touch(self.labels.objects)
+        return touchable
+
+    def _status(self, robot: Robot, kind: int) -> RobotStatus:
         """Return what a planner may know of a robot.
 
         The team's travel times say nothing of ways from a container at which only this robot can be.
         """
-        status = robot.status(self.time_s)
-        return replace(status, place=-1) if robot.free and robot.home_map is not self.home_map else status
+        status = replace(robot.status(self.time_s), kind=kind)
+        elsewhere = robot.free and robot.home_map is not self.maps[robot.spec.radius_m]
+        return replace(status, place=-1) if elsewhere else status
 
     def _within_reach(self) -> NDArray[np.bool_]:
         """Return the containers [C] to which some robot can be sent now."""
@@ -315,6 +348,7 @@ class TeamState:
     def _allowed(self, robot: Robot) -> NDArray[np.bool_]:
         """Return the objects [O] with which the robot may interact here now: the one it was sent for, or safe ones."""
         wanted, here = robot.assignment.interaction, self.belief.presence_prob[robot.place] > 0
+        here &= robot.spec.can_touch(self.labels.objects)
         here[robot.setbacks.objects_left_alone(robot.place, self.time_s)] = False
         if self.one_per_letter:
             doing = frozenset(one.act.obj for one in self.robots if one.act.kind is ActKind.INTERACT)

@@ -49,6 +49,8 @@ class TrialOptions:
     formula: str | None = None
     formula_objects: tuple[str, ...] = ()
     robot: RobotSpec = field(default_factory=RobotSpec)
+    team: Team | None = None
+    """The robots, of whom trials take the first; None: as many as a trial has, all like ``robot``."""
     tasks_per_home: int = 1
     """The number of successive trials in one home."""
     unsearched_share: tuple[float, float] = (1.0, 1.0)
@@ -160,7 +162,7 @@ def sample_trial(
             trial_id=trial_id(size_class, robots, number),
             home_id=home.id,
             size_class=size_class,
-            team=Team(robots, options.robot),
+            team=Team.alike(robots, options.robot) if options.team is None else options.team.first(robots),
             template=template,
             formula=text,
             objects=objects,

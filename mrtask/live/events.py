@@ -31,10 +31,10 @@ def _pose(live: LiveState, event: m.Pose) -> str | None:
     robot, number = live.robot(event.robot), live.number(event.robot)
     if event.time_s < live.heard_s[number]:
         raise Refused(f"a later pose of {event.robot} is known, of {live.stamp_s(live.heard_s[number]):.10g} s")
-    position = live.position(event.x_m, event.y_m)
+    position = live.position(event.robot, event.x_m, event.y_m)
     live.heard_s[number] = event.time_s
     moving, reach = robot.moving, np.isfinite(robot.travel_s(live.team.time_s))
-    robot.home_map = live.map_at(position)
+    robot.home_map = live.map_at(position, robot.spec)
     robot.see_at(position, live.team.time_s)
     live.surprise |= bool((np.isfinite(robot.travel_s(live.team.time_s)) != reach).any())
     if moving and not robot.moving:
@@ -61,12 +61,13 @@ def _stands_there(live: LiveState, event: m.Arrived | m.SearchEnded, robot: Robo
     number = live.number(event.robot)
     if not (robot.free or robot.moving) or event.time_s < max(live.heard_s[number], robot.since_s):
         return False
-    if not live.setup.home_map.reachable[container]:
+    own_map = live.setup.maps[robot.spec.radius_m]
+    if not own_map.reachable[container]:
         return False
     live.heard_s[number] = event.time_s
-    row, col = live.setup.home_map.access[container]
+    row, col = own_map.access[container]
     position = Position.at((int(row), int(col)))
-    robot.home_map = live.map_at(position)
+    robot.home_map = live.map_at(position, robot.spec)
     robot.see_at(position, live.team.time_s)
     if robot.free:
         robot.place = container
@@ -191,7 +192,7 @@ def _robot_lost(live: LiveState, event: m.RobotLost) -> str | None:
 
 
 def _robot_joined(live: LiveState, event: m.RobotJoined) -> str | None:
-    position = live.position(event.x_m, event.y_m)
+    position = live.position(event.robot, event.x_m, event.y_m)
     if event.robot in live.names:
         number = live.number(event.robot)
         if not live.team.robots[number].lost:
@@ -207,12 +208,13 @@ def _robot_joined(live: LiveState, event: m.RobotJoined) -> str | None:
         live.names.append(event.robot)
         live.heard_s.append(0.0)
         live.spoke_s.append(live.team.time_s)
-        live.team.join(position)
+        live.team.join(position, live.team.new_robot(position, live.setup.spec_of(event.robot)))
         number = len(live.names) - 1
     live.heard_s[number], live.spoke_s[number] = event.time_s, live.team.time_s
     live.silent.discard(number)
     live.beating.discard(number)
-    live.team.robots[number].home_map = live.map_at(position)
+    robot = live.team.robots[number]
+    robot.home_map = live.map_at(position, robot.spec)
     live.surprise = True
     return None
 

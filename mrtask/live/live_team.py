@@ -110,7 +110,7 @@ class LiveTeam(LiveState):
             return ""
         robot = self.team.robots[number]
         self.team.join(robot.position, robot)
-        robot.home_map = self.map_at(robot.position)
+        robot.home_map = self.map_at(robot.position, robot.spec)
         self.silent.discard(number)
         self.surprise = True
         return f"{name} is back in the team"
@@ -154,7 +154,7 @@ class LiveTeam(LiveState):
     def _use_own_maps(self) -> None:
         """Let barriers hold the robots that have driven out of them, and none that stand in them."""
         for robot in (self.team.robots[number] for number in self.present if self.barriers):
-            own_map = self.map_at(robot.position_at(self.team.time_s))
+            own_map = self.map_at(robot.position_at(self.team.time_s), robot.spec)
             if own_map is not robot.home_map:
                 self.team.take_own_map(robot, own_map)
 

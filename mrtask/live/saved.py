@@ -128,8 +128,8 @@ def mistake(setup: LiveSetup, state: SavedState) -> str | None:
             return f"{wrong[0]}, and there are {count} {kind}s"
     if any(number not in range(robots) for number in (*state.busy, *state.ended, *letters)):
         return f"there are {robots} robots, and busy, ended or letters name another"
-    free = setup.home_map.free
     for one in state.robots:
+        free = setup.maps[setup.spec_of(one.name).radius_m].free
         cells = (one.position.back, one.position.ahead)
         if not all(0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col] for row, col in cells):
             return f"robot {one.name} is off the free floor"

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -15,7 +16,7 @@ from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
 from mrtask.execution.setbacks import Setback
-from mrtask.execution.team_spec import RobotSpec
+from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
 from mrtask.live.barriers import Barrier, barred_map, doorways
@@ -49,12 +50,35 @@ class LiveSetup:
     likelihood: NDArray[np.float64]
     """[C, O]"""
     spec: RobotSpec = field(default_factory=RobotSpec)
+    """The robots that ``specs`` does not name."""
     planner: str = "pouct"
     planner_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     lost_after_s: float | None = None
     """A robot counts as lost when it has said nothing for so long after its order should have ended, or, if it sends
     heartbeats, after its last word. None: it never does."""
+    specs: Mapping[str, RobotSpec] = field(default_factory=dict)
+    """Name -> the robot that differs. All see as well as ``spec``."""
+    make_map: MakeMap | None = None
+    """As `maps_for` takes it."""
+
+    def spec_of(self, name: str) -> RobotSpec:
+        """Return what a robot of this name is like."""
+        return self.specs.get(name, self.spec)
+
+    @property
+    def _everybody(self) -> Team:
+        return Team((self.spec, *self.specs.values()))
+
+    @cached_property
+    def maps(self) -> Maps:
+        """The home's map, and those for robots of another width."""
+        return maps_for(self._everybody, self.home, self.home_map, self.make_map)
+
+    @cached_property
+    def reachable(self) -> NDArray[np.bool_]:
+        """[C] whether some robot can get to the container and use it."""
+        return in_reach(self._everybody, self.home, self.maps)
 
 
 class LiveState:
@@ -75,17 +99,21 @@ class LiveState:
         self.objects = {name_to_text(name): index for index, name in enumerate(setup.task.propositions)}
         sensor = setup.spec.perception.sensor(setup.task.propositions)
         self.names = list(robots)
+        specs = [setup.spec_of(name) for name in self.names]
         self.team = TeamState(
-            list(self.containers),
-            setup.home_map,
+            setup.home.containers,
+            setup.maps,
             build_automaton(setup.task.formula, setup.task.propositions),
-            prior_belief(setup.likelihood, setup.home_map.reachable, sensor),
-            spec=setup.spec,
-            starts=[Position.at(free_cell_near(setup.home_map, point, POSE_REACH_M)) for point in robots.values()],
+            prior_belief(setup.likelihood, setup.reachable, sensor),
+            specs=specs,
+            starts=[
+                Position.at(free_cell_near(setup.maps[spec.radius_m], point, POSE_REACH_M))
+                for spec, point in zip(specs, robots.values(), strict=True)
+            ],
             one_per_letter=True,
         )
         self.doors = doorways(setup.home)
-        self._maps: dict[tuple[Barrier, ...], HomeMap] = {}
+        self._maps: dict[tuple[float | None, tuple[Barrier, ...]], HomeMap] = {}
         self.decisions = self.orders = self.map_version = 0
         self.barriers: dict[str, Barrier] = {}
         self.clock = TeamClock()
@@ -172,10 +200,11 @@ class LiveState:
         """Return a task object's index, None for any other object."""
         return self.objects.get(name_to_text(name))
 
-    def position(self, x_m: float, y_m: float) -> Position:
-        """Return the position on the map of a robot that reports this place."""
+    def position(self, name: str, x_m: float, y_m: float) -> Position:
+        """Return the position on its map of a robot that reports this place."""
+        own_map = self.setup.maps[self.setup.spec_of(name).radius_m]
         try:
-            return Position.at(free_cell_near(self.setup.home_map, (x_m, y_m), POSE_REACH_M))
+            return Position.at(free_cell_near(own_map, (x_m, y_m), POSE_REACH_M))
         except InputError as error:
             raise Refused(str(error)) from None
 
@@ -187,32 +216,37 @@ class LiveState:
                 return known, Barrier(*first, self.setup.home_map.resolution_m * 2, tuple(others))
         raise Refused(f"no door {name!r}; there are: {_listed(self.doors) or 'none'}")
 
-    def barred(self, barriers: tuple[Barrier, ...]) -> HomeMap:
-        """Return the map with these barriers."""
+    def _barred(self, radius_m: float | None, barriers: tuple[Barrier, ...]) -> HomeMap:
+        """Return the map of robots of this width with these barriers."""
         if not barriers:
-            return self.setup.home_map
-        if barriers not in self._maps:
-            self._maps[barriers] = barred_map(self.setup.home_map, barriers)
-        return self._maps[barriers]
+            return self.setup.maps[radius_m]
+        if (radius_m, barriers) not in self._maps:
+            self._maps[radius_m, barriers] = barred_map(self.setup.maps[radius_m], barriers)
+        return self._maps[radius_m, barriers]
 
-    def map_at(self, position: Position) -> HomeMap:
+    def barred_maps(self) -> Maps:
+        """Return the maps with all barriers, for robots of each width."""
+        return {radius_m: self._barred(radius_m, tuple(self.barriers.values())) for radius_m in self.setup.maps}
+
+    def map_at(self, position: Position, spec: RobotSpec) -> HomeMap:
         """Return the map of a robot at this position: the barriers in which it stands do not hold it."""
         barriers = tuple(self.barriers.values())
-        whole = self.barred(barriers)
+        whole = self._barred(spec.radius_m, barriers)
         ends = (position.back, position.ahead)
         if any(whole.free[end] for end in ends):
             return whole
         points = shapely.points([whole.cell_center(end) for end in ends])
-        return self.barred(tuple(barrier for barrier in barriers if not barrier.holds(points).any()))
+        return self._barred(spec.radius_m, tuple(barrier for barrier in barriers if not barrier.holds(points).any()))
 
     def use_barriers(self) -> None:
         """Drop what is blocked from the map; robots go on from where they are."""
         self._maps.clear()
-        whole = self.barred(tuple(self.barriers.values()))
         robots = {number: self.team.robots[number] for number in self.present}
         self.map_version += 1
+        now_s = self.team.time_s
         self.team.take_other_ways(
-            whole, {number: self.map_at(robot.position_at(self.team.time_s)) for number, robot in robots.items()}
+            self.barred_maps(),
+            {number: self.map_at(robot.position_at(now_s), robot.spec) for number, robot in robots.items()},
         )
         self.surprise = True
 

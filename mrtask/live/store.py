@@ -39,7 +39,7 @@ def fingerprint(setup: LiveSetup) -> str:
     home_map = setup.home_map
     content = [
         setup.home.layout_id, home_map.resolution_m, home_map.free.shape, int(home_map.free.sum()),
-        setup.task.formula, setup.task.propositions,
+        setup.task.formula, setup.task.propositions, *(repr(item) for item in sorted(setup.specs.items())),
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -163,26 +163,27 @@ def _team_of(setup: LiveSetup, state: SavedState) -> LiveTeam:
     belief.searches = np.array(state.searched if state.searches is None else state.searches, dtype=np.int64)
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version
-    team.use_map(live.barred(tuple(live.barriers.values())))
+    team.use_maps(live.barred_maps())
     if not 0 <= state.state < len(team.automaton.transitions):
         raise damaged(f"state is {state.state}, and the task has {len(team.automaton.transitions)}")
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
     team.letters = list(state.letters)
+    own_maps = [live.map_at(one.position, setup.spec_of(one.name)) for one in state.robots]
     team.robots = [
         replace(
-            team.new_robot(one.position),
+            team.new_robot(one.position, setup.spec_of(one.name)),
             place=one.place,
             act=Act(one.mode, float("inf") if one.until_s is None else one.until_s, one.obj),
             assignment=Assignment(one.container, one.interaction),
             since_s=one.since_s,
             moved_s=one.moved_s,
-            home_map=live.map_at(one.position),
-            route=plan_route(live.map_at(one.position), one.position, one.container) if one.under_way else None,
+            home_map=own_map,
+            route=plan_route(own_map, one.position, one.container) if one.under_way else None,
             passed=one.passed,
             legs=list(one.legs),
             setbacks=Setbacks({(at, what): Setback(count, last_s) for at, what, count, last_s in one.setbacks}),
         )
-        for one in state.robots
+        for one, own_map in zip(state.robots, own_maps, strict=True)
     ]
     live.heard_s = [one.heard_s for one in state.robots]
     live.spoke_s = [one.spoke_s for one in state.robots]

@@ -63,11 +63,11 @@ def _inverse_prob(model: Model, world: World, greedy: GreedyPolicy) -> int:
     now = model.states[z].nearer & ~found
     later = model.states[z].needed & ~found & ~now
     for c in range(model.prob.shape[0]):
-        missed = 1.0
+        missed, here = 1.0, model.touchable[c]
         for o in range(objects):
-            if (now >> o) & 1:
+            if (now & here) >> o & 1:
                 missed *= 1.0 - model.prob[c, o]
-            elif (later >> o) & 1:
+            elif (later & here) >> o & 1:
                 missed *= 1.0 - greedy.later_weight * model.prob[c, o]
         greedy.inverse[row, c] = 1.0 / (1.0 - missed) if missed < 1.0 else np.inf
     return row
@@ -82,7 +82,7 @@ def _fetching(model: Model, world: World) -> int:
         if robot.mode == INTERACTING:
             mask |= 1 << robot.doing
         elif robot.mode == MOVING and robot.undecided == 0 and world.containers[robot.place].searched:
-            mask |= world.containers[robot.place].holds
+            mask |= world.containers[robot.place].holds & robot.handles
     return mask
 
 
@@ -100,7 +100,7 @@ def _stands_ready(model: Model, world: World, r: int) -> bool:
     if robot.mode == MOVING or place == NONE or world.containers[place].searched == 0:
         return False
     state = model.states[world.state[AUTOMATON]]
-    return (world.containers[place].holds & state.needed & ~state.nearer) != 0
+    return (world.containers[place].holds & world.robots[r].handles & state.needed & ~state.nearer) != 0
 
 
 @inlined
@@ -119,7 +119,7 @@ def _score(
         weight = greedy.inverse[row, c]
     else:
         state = model.states[world.state[AUTOMATON]]
-        useful = container.holds & state.needed
+        useful = container.holds & world.robots[r].handles & state.needed
         if useful & state.automatic & ~fetching:
             weight = 1.0
         elif ahead and useful & ~state.nearer and not _stands_ready(model, world, r):

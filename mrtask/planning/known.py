@@ -34,11 +34,12 @@ class Known(Pouct):
 
 
 def _exact_run(problem: PlanningProblem, deciding: list[int]) -> Run | None:
-    """Return a fastest run of the team, or None if it cannot be computed exactly."""
-    timeless = problem.search_time_s == problem.interact_time_s == 0
+    """Return a fastest run of the team, or None if it cannot be computed exactly, as with robots that differ."""
+    timeless = not (problem.searching_takes_time or problem.interacting_takes_time)
     busy = any(not robot.free and robot.target < 0 for robot in problem.robots)
     contents = problem.presence_prob
-    if not (timeless or len(problem.robots) == 1) or busy or not np.isin(contents, (0.0, 1.0)).all():
+    exact = problem.alike and (timeless or len(problem.robots) == 1)
+    if not exact or busy or not np.isin(contents, (0.0, 1.0)).all():
         return None
     if problem.automaton.accepting[problem.state]:
         return None

@@ -132,9 +132,8 @@ def _interactions(
         only_found: count only the objects found, because no more containers will be searched.
     """
     automaton, state = problem.automaton, problem.state
-    travel_s = np.array([robot.travel_s for robot in problem.robots])
-    more_to_find = not only_found and (~problem.searched & np.isfinite(travel_s).any(axis=0)).any()
-    steps = automaton.steps_with(problem.found() | more_to_find)
+    travel_s, handles = np.array([robot.travel_s for robot in problem.robots]), problem.handles
+    steps = automaton.steps_with(problem.found() if only_found else problem.obtainable())
     nearer = steps[automaton.transitions[state]] < steps[state]
     can_hurt = automaton.advancing[state] & ~safe(automaton)[state]
     useful = automaton.advancing[state] & (~can_hurt | nearer)
@@ -146,7 +145,8 @@ def _interactions(
         for obj in np.flatnonzero(useful)
         for container in np.flatnonzero(problem.searched & (problem.presence_prob[:, obj] > 0))
         for robot in deciding
-        if np.isfinite(travel_s[robot, container]) and (not only_here or problem.robots[robot].place == container)
+        if handles[robot, obj] and np.isfinite(travel_s[robot, container])
+        if not only_here or problem.robots[robot].place == container
     )
     chosen: dict[int, Assignment] = {}
     for _, robot, container, obj in pairs:

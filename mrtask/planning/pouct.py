@@ -89,7 +89,7 @@ class Pouct(PouctOptions):
         began_s = perf_counter()
         if problem.automaton.accepting[problem.state]:
             return Plan({index: Assignment(WAIT) for index, robot in enumerate(problem.robots) if robot.free})
-        decide_all = problem.interact_time_s > 0
+        decide_all = problem.interacting_takes_time
         unnamed = NONE_UNNAMED if decide_all else ANY_SAFE
         model = team_model(problem, decide_all)
         root, world = root_world(problem, model, self.reassign == "all"), blank_world(problem)

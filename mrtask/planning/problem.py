@@ -44,6 +44,22 @@ class Assignment(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class RobotKind:
+    """What robots of one kind have in common: their ways, their times and what they can touch."""
+
+    travel_s: Floats
+    """[C, C] seconds between containers; inf to and from those that such a robot cannot reach or open."""
+    search_time_s: float = 0.0
+    interact_time_s: float = 0.0
+    handles: Bools | None = None
+    """[O] the task objects with which it can interact; None: all."""
+
+    def __post_init__(self) -> None:
+        if np.isnan(self.travel_s).any() or (self.travel_s < 0).any():
+            raise ValueError("travel_s must be >= 0 (inf where there is no way)")
+
+
+@dataclass(frozen=True, eq=False)
 class RobotStatus:
     """Where one robot is and what it is doing.
 
@@ -64,6 +80,8 @@ class RobotStatus:
     """Seconds until a robot under way arrives, or until a busy robot's search or interaction ends."""
     interacting: int = -1
     """The object with which a busy robot interacts; -1 while it searches."""
+    kind: int = 0
+    """The index of the robot's kind in `PlanningProblem.kinds`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,29 +96,62 @@ class PlanningProblem:
     state: int
     presence_prob: Floats
     searched: Bools
-    travel_s: Floats
+    kinds: tuple[RobotKind, ...]
     robots: tuple[RobotStatus, ...]
-    search_time_s: float = 0.0
-    interact_time_s: float = 0.0
     may_redirect: bool = True
     """Whether robots under way may be redirected now. This is so only after the team has learned something: otherwise a
     team between two equally good places would turn round at every arrival and never get anywhere."""
 
     def __post_init__(self) -> None:
         containers, objects = self.presence_prob.shape
-        if self.travel_s.shape != (containers, containers) or self.searched.shape != (containers,):
-            raise ValueError(
-                f"travel_s {self.travel_s.shape} and searched {self.searched.shape} must be [C, C] and [C] with the "
-                f"C = {containers} of presence_prob"
-            )
+        for kind in self.kinds:
+            if kind.travel_s.shape != (containers, containers) or self.searched.shape != (containers,):
+                raise ValueError(
+                    f"travel_s {kind.travel_s.shape} and searched {self.searched.shape} must be [C, C] and [C] with "
+                    f"the C = {containers} of presence_prob"
+                )
+            if kind.handles is not None and kind.handles.shape != (objects,):
+                raise ValueError(f"handles {kind.handles.shape} must be [O] with the O = {objects} of presence_prob")
         if objects != len(self.automaton.propositions):
             raise ValueError(f"presence_prob has {objects} objects, the automaton {len(self.automaton.propositions)}")
         if not self.robots:
             raise ValueError("a team needs at least one robot")
+        if any(not 0 <= robot.kind < len(self.kinds) for robot in self.robots):
+            raise ValueError(f"a robot's kind must be one of the {len(self.kinds)} kinds of the problem")
         if not ((self.presence_prob >= 0) & (self.presence_prob <= 1)).all():
             raise ValueError("presence_prob must lie in [0, 1]")
-        if np.isnan(self.travel_s).any() or (self.travel_s < 0).any():
-            raise ValueError("travel_s must be >= 0 (inf where there is no way)")
+
+    @property
+    def alike(self) -> bool:
+        """Whether all robots are of one kind and can touch everything."""
+        return len({robot.kind for robot in self.robots}) == 1 and bool(self.handles.all())
+
+    @property
+    def handles(self) -> Bools:
+        """Return the objects [R, O] that each robot can touch."""
+        everything = np.ones(self.presence_prob.shape[1], dtype=bool)
+        masks = [self.kinds[robot.kind].handles for robot in self.robots]
+        return np.array([everything if mask is None else mask for mask in masks])
+
+    @property
+    def reach(self) -> Bools:
+        """Return the containers [R, C] to which each robot can get."""
+        return np.isfinite([robot.travel_s for robot in self.robots])
+
+    @property
+    def touchable(self) -> Bools:
+        """Return [C, O] whether some robot that can get to the container can touch the object."""
+        return np.asarray((self.reach[:, :, None] & self.handles[:, None, :]).any(axis=0))
+
+    @property
+    def interacting_takes_time(self) -> bool:
+        """Whether any robot's interactions take time."""
+        return any(self.kinds[robot.kind].interact_time_s > 0 for robot in self.robots)
+
+    @property
+    def searching_takes_time(self) -> bool:
+        """Whether any robot's searches take time."""
+        return any(self.kinds[robot.kind].search_time_s > 0 for robot in self.robots)
 
     def holds(self, container: int, obj: int) -> bool:
         """Return whether the object is known to be in the container."""
@@ -112,9 +163,13 @@ class PlanningProblem:
         return [index for index, robot in enumerate(self.robots) if robot.free or (redirect and robot.target >= 0)]
 
     def found(self) -> Bools:
-        """Return, for each object [O], whether some container is known to hold it."""
-        known = (self.presence_prob > 0) & self.searched[:, None]
+        """Return, for each object [O], whether some container is known to hold it where a robot can touch it."""
+        known = (self.presence_prob > 0) & self.searched[:, None] & self.touchable
         return np.asarray(known.any(axis=0))
+
+    def obtainable(self) -> Bools:
+        """Return the objects [O] that were found, or that may be where a robot can search and another touch them."""
+        return np.asarray(self.found() | (self.touchable & ~self.searched[:, None]).any(axis=0))
 
 
 @dataclass(frozen=True)

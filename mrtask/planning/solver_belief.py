@@ -19,7 +19,10 @@ from mrtask.tasks.automaton import Automaton
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A decision problem as the bounds see it. Containers out of reach hold nothing and are never visited."""
+    """A decision problem as the bounds see it. Containers out of reach hold nothing and are never visited.
+
+    If robots differ, each counts as if it had the fastest ways and the least times of all, and could touch everything.
+    """
 
     automaton: Automaton
     state: int
@@ -65,7 +68,8 @@ def belief_of(problem: PlanningProblem) -> Belief:
     """
     if any(not robot.free and robot.target < 0 for robot in problem.robots):
         raise ValueError("a robot is busy; bounds are for instants at which every robot is free or under way")
-    travel_s = problem.travel_s.copy()
+    kinds = [problem.kinds[robot.kind] for robot in problem.robots]
+    travel_s = np.min([kind.travel_s for kind in kinds], axis=0)
     for via in range(len(travel_s)):
         np.minimum(travel_s, travel_s[:, [via]] + travel_s[[via]], out=travel_s)
     start_s = np.array([robot.travel_s for robot in problem.robots])
@@ -82,8 +86,8 @@ def belief_of(problem: PlanningProblem) -> Belief:
         prob=np.where(unsearched[:, None], team_model(problem).prob, 0.0),
         needed=needed(problem.automaton),
         safe=safe(problem.automaton),
-        search_time_s=problem.search_time_s,
-        interact_time_s=problem.interact_time_s,
+        search_time_s=min(kind.search_time_s for kind in kinds),
+        interact_time_s=min(kind.interact_time_s for kind in kinds),
     )
 
 

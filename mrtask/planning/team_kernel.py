@@ -17,8 +17,8 @@ from mrtask.planning.shared_kernel import AUTOMATON, NONE, copy_team
 
 FREE, MOVING, SEARCHING, INTERACTING = 0, 1, 2, 3
 DECIDE, DONE, STUCK = 0, 1, 2
-FOUND, HISTORY, NEWS = 1, 2, 3
-"""Indices of `World.state`, after AUTOMATON."""
+FOUND, HISTORY, NEWS, SEEN = 1, 2, 3, 4
+"""Indices of `World.state`, after AUTOMATON. Objects were found where a robot can touch them, and seen anywhere."""
 HISTORY_FACTOR = 0x9E3779B97F4A7C15 - 2**64
 """2**64 over the golden ratio. Its multiples by numbers below 2**31 are more than 2**31 apart. Two histories of up to
 two reveals therefore never share a 64-bit hash, and longer ones do so with negligible probability."""
@@ -26,7 +26,7 @@ two reveals therefore never share a 64-bit hash, and longer ones do so with negl
 
 CONTAINER = np.dtype(
     [
-        ("holds", np.int64),  # mask of the objects known to be in a searched container
+        ("holds", np.int64),  # mask of the touchable objects known to be in a searched container
         ("targeted", np.int64),  # number of robots that go there or are busy there
         ("searched", np.int64),
     ],
@@ -36,26 +36,29 @@ ROBOT = np.dtype(
     [
         ("until_s", np.float64),  # time of the robot's next event
         ("since_s", np.float64),  # time of departure of a robot under way
+        ("search_time_s", np.float64),
+        ("interact_time_s", np.float64),
         ("mode", np.int64),
         ("place", np.int64),  # container at which a robot stands or to which it moves, NONE anywhere else
         ("want", np.int64),  # object of a named interaction, NONE to make every automatic one
         ("doing", np.int64),  # object being interacted with
-        ("origin", np.int64),  # container of departure, or NONE if `World.away` holds the times
+        ("origin", np.int64),  # row of `Model.travel_s` of the place of departure, NONE: see `World.away`
         ("undecided", np.int64),
+        ("rows", np.int64),  # the first row of the robot's kind in `Model.travel_s`
+        ("handles", np.int64),  # mask of the objects that it can touch
     ],
     align=True,
 )
 
 
 class Model(NamedTuple):
-    """The data that do not change while planning."""
+    """The data that do not change while planning (legend: K kinds of robots)."""
 
-    travel_s: Floats  # [C, C]
+    travel_s: Floats  # [K * C, C]
+    touchable: Ints  # [C] masks of the objects that a robot which can get there can touch
     prob: Floats  # [C, O], strictly inside (0, 1); rows of searched containers are not read
     transitions: Ints  # [Z, O]
     states: Records  # [Z] of STATE
-    search_time_s: float
-    interact_time_s: float
     penalty_s: float  # added to the cost of a sample that cannot finish
     max_decisions: int  # a rollout with more decision instants than this goes round in circles
 
@@ -64,7 +67,7 @@ class World(NamedTuple):
     """The state of one sample. The root's world is kept aside and copied."""
 
     clock: Floats  # [1] seconds since the root
-    state: Ints  # [4] AUTOMATON state, mask of FOUND objects, HISTORY hash of all reveals, NEWS 1 after any news
+    state: Ints  # [5] AUTOMATON state, masks of FOUND and SEEN, HISTORY hash of all reveals, NEWS 1 after any news
     containers: Records  # [C] of CONTAINER
     nowhere: Floats  # [O] probability that no unsearched container holds the object
     robots: Records  # [R] of ROBOT
@@ -89,15 +92,17 @@ def distance_s(model: Model, world: World, r: int, c: int) -> float:
     start = world.away[r, c] if origin == NONE else model.travel_s[origin, c]
     if robot.mode != MOVING:
         return start
-    ahead = robot.until_s - world.clock[0] + model.travel_s[robot.place, c]
+    ahead = robot.until_s - world.clock[0] + model.travel_s[robot.rows + robot.place, c]
     back = world.clock[0] - robot.since_s + start
     return min(ahead, back)
 
 
 @inlined
 def nearest_holding(model: Model, world: World, r: int, obj: int) -> int:
-    """Return the nearest container known to hold an object, or NONE if no such container is in reach."""
+    """Return the nearest container known to hold an object that the robot can touch, or NONE if none is in reach."""
     best, best_s = NONE, np.inf
+    if (world.robots[r].handles >> obj) & 1 == 0:
+        return best
     for c in range(world.containers.size):
         if (world.containers[c].holds >> obj) & 1:
             here_s = distance_s(model, world, r, c)
@@ -147,19 +152,20 @@ def history_after(history: int, held: int, c: int, containers: int) -> int:
 @inlined
 def _reveal(model: Model, world: World, rng: UInt64s, c: int) -> None:
     """Draw a container's contents, given all that was seen and that every object still needed exists somewhere."""
-    needed, found, held = model.states[world.state[AUTOMATON]].needed, world.state[FOUND], 0
+    needed, seen, held = model.states[world.state[AUTOMATON]].needed, world.state[SEEN], 0
     for o in range(model.prob.shape[1]):
         if (needed >> o) & 1:
             prob = model.prob[c, o]
-            exists = 1.0 if (found >> o) & 1 else 1.0 - world.nowhere[o]
+            exists = 1.0 if (seen >> o) & 1 else 1.0 - world.nowhere[o]
             if random_unit(rng) * exists < prob:
                 held |= 1 << o
         world.nowhere[o] = min(world.nowhere[o] / (1.0 - model.prob[c, o]), 1.0)
     world.containers[c].searched = 1
-    world.containers[c].holds = held
-    if held & ~found:
+    world.containers[c].holds = held & model.touchable[c]
+    if held & ~seen:
         world.state[NEWS] = 1
-    world.state[FOUND] = found | held
+    world.state[SEEN] = seen | held
+    world.state[FOUND] |= world.containers[c].holds
     world.state[HISTORY] = history_after(world.state[HISTORY], held, c, world.containers.size)
 
 
@@ -168,7 +174,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
     """Start the interaction nearest to acceptance that a robot's action allows here, and return whether it began."""
     robot = world.robots[r]
     z = world.state[AUTOMATON]
-    here = world.containers[robot.place].holds
+    here = world.containers[robot.place].holds & robot.handles
     if robot.want == NONE:
         here &= model.states[z].automatic
     else:
@@ -186,7 +192,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
         return False
     robot.mode = INTERACTING
     robot.doing = best
-    robot.until_s = world.clock[0] + model.interact_time_s
+    robot.until_s = world.clock[0] + robot.interact_time_s
     return True
 
 
@@ -204,11 +210,11 @@ def _finish_event(model: Model, world: World, rng: UInt64s, r: int) -> bool:
     """Handle one robot's due event, and return whether it frees the robot."""
     robot = world.robots[r]
     if robot.mode == MOVING:
-        robot.origin = robot.place
+        robot.origin = robot.rows + robot.place
         if world.containers[robot.place].searched == 0:
             robot.mode = SEARCHING
-            robot.until_s += model.search_time_s
-            if model.search_time_s > 0.0:
+            robot.until_s += robot.search_time_s
+            if robot.search_time_s > 0.0:
                 return False
     if robot.mode == SEARCHING:
         if world.containers[robot.place].searched == 0:

@@ -1,8 +1,9 @@
 """Translate a planning problem into the terms of the team's compiled simulation, and back."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mrtask.arrays import Bools, Ints
+from mrtask.arrays import Bools, Floats, Ints
 from mrtask.planning import team_kernel as kernel
 from mrtask.planning.compiled import Records
 from mrtask.planning.problem import (
@@ -37,39 +38,57 @@ def team_model(problem: PlanningProblem, decide_all: bool = False) -> kernel.Mod
     if objects > MAX_OBJECTS:
         raise ValueError(f"search planners handle tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
-    reachable = np.isfinite(np.array([robot.travel_s for robot in problem.robots])).any(axis=0)
+    reachable = problem.reach.any(axis=0)
     prob = np.ascontiguousarray(np.clip(problem.presence_prob, MIN_PROB, 1.0 - MIN_PROB))
     prob[~reachable] = 0.0
     return kernel.Model(
-        travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
+        travel_s=ways_s(problem),
+        touchable=masks(problem.touchable),
         prob=prob,
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton, obtainable(problem), decide_all),
-        search_time_s=float(problem.search_time_s),
-        interact_time_s=float(problem.interact_time_s),
+        states=state_records(automaton, problem.obtainable(), decide_all),
         penalty_s=stuck_penalty_s(problem),
         max_decisions=MOVES_PER_EVENT * (len(problem.robots) + 1) * (len(prob) + len(automaton.accepting)),
     )
 
 
+def ways_s(problem: PlanningProblem) -> Floats:
+    """Return the travel times of all kinds of robots, one below the other, [K * C, C]."""
+    return np.concatenate([kind.travel_s for kind in problem.kinds]).astype(np.float64)
+
+
+def kind_fields(problem: PlanningProblem) -> dict[str, ArrayLike]:
+    """Return what robots' records say of their kinds, each [R]: the first row in `ways_s`, and the times."""
+    kinds = [problem.kinds[robot.kind] for robot in problem.robots]
+    return {
+        "rows": [robot.kind * len(problem.searched) for robot in problem.robots],
+        "search_time_s": [kind.search_time_s for kind in kinds],
+        "interact_time_s": [kind.interact_time_s for kind in kinds],
+    }
+
+
 def stuck_penalty_s(problem: PlanningProblem) -> float:
     """Return the extra cost of a sample that cannot finish: at least the time to visit all containers one by one."""
-    ways_s = np.concatenate([problem.travel_s, [robot.travel_s for robot in problem.robots]])
-    longest_s = ways_s[np.isfinite(ways_s)].max(initial=1.0)
-    return float(len(problem.searched) * (longest_s + problem.search_time_s))
+    times_s = np.concatenate([ways_s(problem), [robot.travel_s for robot in problem.robots]])
+    longest_s = times_s[np.isfinite(times_s)].max(initial=1.0)
+    searching_s = max(problem.kinds[robot.kind].search_time_s for robot in problem.robots)
+    return float(len(problem.searched) * (longest_s + searching_s))
 
 
 def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool) -> kernel.World:
     """Return the team's present state; ``reassign_all`` lets robots under way decide where the problem allows it."""
     root = blank_world(problem)
     root.containers.searched[:] = problem.searched
-    root.containers.holds[:] = np.where(problem.searched, masks(problem.presence_prob > 0), 0)
+    known = (problem.presence_prob > 0) & problem.searched[:, None]
+    root.containers.holds[:] = masks(known & problem.touchable)
     root.nowhere[:] = np.prod(np.where(problem.searched[:, None], 1.0, 1.0 - model.prob), axis=0)
     root.state[AUTOMATON] = problem.state
     root.state[kernel.FOUND] = np.bitwise_or.reduce(root.containers.holds)
+    root.state[kernel.SEEN] = np.bitwise_or.reduce(masks(known))
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
-        record.place, record.origin, record.want, record.until_s = robot.place, robot.place, NONE, np.inf
+        record.place, record.want, record.until_s = robot.place, NONE, np.inf
+        record.origin = NONE if robot.place < 0 else record.rows + robot.place
         if robot.interaction >= 0:
             record.want = robot.interaction
         root.away[index] = robot.travel_s
@@ -94,7 +113,7 @@ def blank_world(problem: PlanningProblem) -> kernel.World:
     robots = len(problem.robots)
     return kernel.World(
         clock=np.zeros(1),
-        state=np.zeros(4, dtype=np.int64),
+        state=np.zeros(5, dtype=np.int64),
         containers=blank_records(containers, kernel.CONTAINER),
         nowhere=np.ones(objects),
         robots=blank_records(
@@ -105,23 +124,19 @@ def blank_world(problem: PlanningProblem) -> kernel.World:
             want=NONE,
             doing=NONE,
             origin=NONE,
+            handles=masks(problem.handles),
+            **kind_fields(problem),
         ),
         away=np.zeros((robots, containers)),
     )
 
 
-def blank_records(count: int, dtype: np.dtype[np.void], **values: float) -> Records:
-    """Return ``count`` records whose fields are 0, except for the given values."""
+def blank_records(count: int, dtype: np.dtype[np.void], **values: ArrayLike) -> Records:
+    """Return ``count`` records whose fields are 0, except for the given values, one for all or one each."""
     records = np.zeros(count, dtype=dtype).view(np.recarray)
     for name, value in values.items():
         records[name] = value
     return records
-
-
-def obtainable(problem: PlanningProblem) -> Bools:
-    """Return the objects [O] that were found, or all of them while somewhere is left to search."""
-    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
-    return np.asarray(problem.found() | (reachable & ~problem.searched).any())
 
 
 def state_records(automaton: Automaton, available: Bools, decide_all: bool = False) -> Records:

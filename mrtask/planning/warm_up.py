@@ -14,7 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.sources import use_kernel_cache
 from mrtask.tasks.automaton import build_automaton
 
@@ -79,9 +79,9 @@ def _start(planners: Planners) -> "subprocess.Popen[str]":
 def _problem() -> PlanningProblem:
     """Return a small problem. Kernels are the same for all problems."""
     automaton = build_automaton("F a & F b", ["a", "b"])
-    travel_s = np.array([[0.0, 1.0], [1.0, 0.0]])
+    kind = RobotKind(np.array([[0.0, 1.0], [1.0, 0.0]]))
     team = (RobotStatus(np.ones(2)), RobotStatus(np.ones(2)))
-    return PlanningProblem(automaton, automaton.initial, np.full((2, 2), 0.5), np.zeros(2, dtype=bool), travel_s, team)
+    return PlanningProblem(automaton, automaton.initial, np.full((2, 2), 0.5), np.zeros(2, dtype=bool), (kind,), team)
 
 
 if __name__ == "__main__":

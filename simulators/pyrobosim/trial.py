@@ -121,7 +121,7 @@ def run_trial(
     nav_poses = {name: _spawn(simulated, name).nav_poses[0] for name in containers}
     fleet = Fleet(simulated, world.home_map, containers, nav_poses, robots, body)
     team = ", ".join(f"{robot.name}: [{x!r}, {y!r}]" for robot, (x, y) in zip(robots, starts, strict=True))
-    spec = trial.team.spec
+    spec = trial.team.members[0]
     arguments = [
         *(f"map={world.map_file}", f"containers={world.containers_file}"),
         *(f"task={trial.formula}", f"team={{{team}}}", f"decide_by={planner}", f"seed={trial.seed}"),
@@ -252,7 +252,7 @@ class Bridge:
             self.fleet.drive(name, order["container"], [])
 
     def _begin(self, name: str) -> None:
-        spec = self.trial.team.spec
+        spec = self.trial.team.members[0]
         took_s = spec.search_time_s if self.orders[name]["action"] == "search" else spec.interact_time_s
         self.due_s[name] = self.fleet.time_s + took_s
         self.fleet.members[name].busy = True
@@ -262,7 +262,7 @@ class Bridge:
         if order["action"] != "navigate":
             self._begin(name)
             return
-        planned_s = order["length_m"] / self.trial.team.spec.speed_m_per_s
+        planned_s = order["length_m"] / self.trial.team.members[0].speed_m_per_s
         self.legs.append(Leg(name, order["container"], planned_s, self.fleet.time_s - self.ordered_s[name]))
         self._tell("arrived", robot=name, container=order["container"])
 

@@ -87,13 +87,13 @@ def test_one_robot_that_knows_everything_still_searches_each_container_it_uses()
                 for places in product(*(np.flatnonzero(world[:, obj]) for obj in order)):
                     visits = [c for i, c in enumerate(places) if i == 0 or c != places[i - 1]]
                     way_s = problem.robots[0].travel_s[visits[0]]
-                    way_s += sum(problem.travel_s[a, b] for a, b in pairwise(visits))
+                    way_s += sum(problem.kinds[0].travel_s[a, b] for a, b in pairwise(visits))
                     best = min(best, way_s + 3.0 * len(set(visits)) + 0.5 * 3)
             assert clairvoyant_s(belief, world) == pytest.approx(best)
 
 
 def nearest_first(problem, place, searched, found):
-    return min(searched, key=lambda c: problem.travel_s[place, c])
+    return min(searched, key=lambda c: problem.kinds[0].travel_s[place, c])
 
 
 def likeliest_first(problem, place, searched, found):

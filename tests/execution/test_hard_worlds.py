@@ -33,7 +33,7 @@ def run(two_room_home, two_room_map):
             trial_id="hard",
             home_id=home.id,
             size_class="small",
-            team=Team(robots, RobotSpec(**options)),
+            team=Team.alike(robots, RobotSpec(**options)),
             template="formula",
             formula=formula,
             objects=objects,

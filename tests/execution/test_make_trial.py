@@ -134,7 +134,7 @@ def test_an_episode_asks_a_likelihood_model(two_room_home, two_room_map):
 def test_a_trial_has_the_task_team_and_start_that_were_asked_for(two_room_home, two_room_map):
     spec = RobotSpec(search_time_s=3.0)
     trial = make_trial(two_room_home, two_room_map, "egg, then pillow", 3, start_m=(2.02, 1.52), robot=spec)
-    assert (trial.team.robots, trial.team.spec) == (3, spec)
+    assert (trial.team.robots, trial.team.members[0]) == (3, spec)
     assert trial.formula == "(!Pillow U Egg) & F Pillow" and trial.objects == ("Egg", "Pillow")
     assert trial.start_cell == two_room_map.cell_of((2.02, 1.52))
     middle = make_trial(two_room_home, two_room_map, TASK)

@@ -74,8 +74,9 @@ class Watched:
         other = simulation.elsewhere()
         rebuilt = other.problem()
         assert_equal_fields(rebuilt, problem)
-        for seen, again in zip(problem.robots, rebuilt.robots, strict=True):
-            assert_equal_fields(seen, again)
+        for part in ("robots", "kinds"):
+            for seen, again in zip(getattr(problem, part), getattr(rebuilt, part), strict=True):
+                assert_equal_fields(seen, again)
         again = self.planner.plan(rebuilt, seed)
         assert again.assignments == plan.assignments
         np.testing.assert_equal(again.info.root, plan.info.root)
@@ -85,7 +86,7 @@ class Watched:
 
 def assert_equal_fields(one, other):
     for item in fields(one):
-        if item.name != "robots":
+        if item.name not in ("robots", "kinds"):
             np.testing.assert_equal(getattr(one, item.name), getattr(other, item.name))
 
 
@@ -123,7 +124,7 @@ def trials(generated_homes):
     for number, robots in enumerate((1, 2, 3)):
         order = home_order(generated_homes, "medium", robots, 0)
         trial = sample_trial("medium", robots, number, order, lambda home: maps[home.id], seed=0)
-        trial = replace(trial, team=Team(robots, RobotSpec(1.0, float(number), float(number))))
+        trial = replace(trial, team=Team.alike(robots, RobotSpec(1.0, float(number), float(number))))
         home = next(home for home in generated_homes if home.id == trial.home_id)
         likelihood = np.random.default_rng(number).beta(0.3, 2.0, (len(home.containers), len(trial.objects)))
         result.append((trial, home, maps[home.id], likelihood))

@@ -198,8 +198,8 @@ def test_tasks_are_done_although_objects_are_missed_and_imagined(trials, planner
 @pytest.mark.parametrize("planner", HONEST)
 def test_an_object_that_is_nowhere_is_given_up(trials, planner):
     trial, home, home_map, likelihood = trials[0]
-    spec = replace(trial.team.spec, perception=Perception(Rates(0.95, 0.0)))
-    nowhere = replace(trial, template="formula", formula="F Unicorn", objects=("Unicorn",), team=Team(2, spec))
+    spec = replace(trial.team.members[0], perception=Perception(Rates(0.95, 0.0)))
+    nowhere = replace(trial, template="formula", formula="F Unicorn", objects=("Unicorn",), team=Team.alike(2, spec))
     result = run_episode(nowhere, home, home_map, likelihood[:, :1], make_planner(planner, OPTIONS.get(planner)))
     assert result.status == "failed" and "found in no container that can be reached: Unicorn" in str(result.error)
     searches = [leg.container for legs in result.trace.robots for leg in legs if leg.kind == "search"]

@@ -16,7 +16,7 @@ def simulate(home, home_map, formula="(!Pillow U Egg) & F Pillow", known=False, 
     automaton = build_automaton(formula, ["Egg", "Pillow"])
     truth = np.array([[name in container.objects for name in automaton.propositions] for container in home.containers])
     start = tuple(int(part) for part in home_map.access[TABLE])
-    team = Team(2, RobotSpec(**times))
+    team = Team.alike(2, RobotSpec(**times))
     return Simulation(
         home, home_map, automaton, np.full(truth.shape, 0.2), truth, team=team, start_cell=start, known=known
     )

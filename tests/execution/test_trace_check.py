@@ -90,7 +90,7 @@ def last_drive(path_of, slower=1.0):
 
 def at_speed(factor):
     def cheat(trial, home, result):
-        return replace(trial, team=Team(2, replace(SPEC, speed_m_per_s=factor * SPEC.speed_m_per_s))), result
+        return replace(trial, team=Team.alike(2, replace(SPEC, speed_m_per_s=factor * SPEC.speed_m_per_s))), result
 
     return cheat
 

@@ -52,7 +52,7 @@ def check_trace(trial, home, home_map, result, *, known=False):
             if leg.kind == "interact" and abs(leg.t1_s - letter.t_s) < TOLERANCE and leg.object == letter.object
         ]
         assert standing and standing[0].container == letter.container, "no interaction leg for the letter"
-        short_s = trial.team.spec.interact_time_s - (standing[0].t1_s - standing[0].t0_s)
+        short_s = trial.team.members[0].interact_time_s - (standing[0].t1_s - standing[0].t0_s)
         assert abs(short_s) < TOLERANCE, "an interaction of another length"
         if not known:
             assert any(
@@ -74,7 +74,7 @@ def check_trace(trial, home, home_map, result, *, known=False):
 
 
 def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
-    clock, place, speed = 0.0, start, trial.team.spec.speed_m_per_s
+    clock, place, speed = 0.0, start, trial.team.members[0].speed_m_per_s
     for leg in legs:
         assert abs(leg.t0_s - clock) < TOLERANCE, "time not continuous"
         assert leg.t1_s >= leg.t0_s, "time runs backwards"
@@ -87,7 +87,7 @@ def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
         if leg.kind in ("search", "interact"):
             assert dist(leg.path[0], access[leg.container]) < TOLERANCE, "not at the container"
         if leg.kind == "search":
-            short_s = trial.team.spec.search_time_s - (leg.t1_s - leg.t0_s)
+            short_s = trial.team.members[0].search_time_s - (leg.t1_s - leg.t0_s)
             cut_off = short_s > 0 and abs(leg.t1_s - end_s) < TOLERANCE
             assert cut_off or abs(short_s) < TOLERANCE, "a search of another length"
         points = [np.linspace(p, q, 2 + int(dist(p, q) / (resolution_m / 3))) for p, q in pairwise(leg.path)]

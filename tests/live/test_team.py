@@ -320,14 +320,14 @@ def test_a_finish_that_comes_after_the_loss_still_counts(live):
 
 def test_a_blocked_door_changes_travel_times_and_a_cleared_one_restores_them(live, two_room_map):
     begin(live)
-    before = live.team.problem().travel_s.copy()
+    before = live.team.problem().kinds[0].travel_s.copy()
     bed = live.containers[next(name for name in live.containers if "3|0" in name)]
     answer, _ = one(live, "route_blocked", 0.5, door="door|2|3")
     assert answer.status == "accepted"
-    assert np.isinf(live.team.problem().travel_s[bed, :bed]).all()
+    assert np.isinf(live.team.problem().kinds[0].travel_s[bed, :bed]).all()
     assert all(robot.assignment.container != bed for robot in live.team.robots)
     one(live, "route_cleared", 1.0, door="door|2|3")
-    assert np.array_equal(live.team.problem().travel_s, before)
+    assert np.array_equal(live.team.problem().kinds[0].travel_s, before)
 
 
 BEYOND = {"x_m": 5.0, "y_m": 2.0}
@@ -435,7 +435,7 @@ def test_a_doorway_of_many_stretches_is_one_door(two_room_home, two_room_map):
     begin(live)
     for name in ("room|2|room|3", "s7"):
         one(live, "route_blocked", 0.5, door=name)
-        assert np.isinf(live.team.problem().travel_s[2, :2]).all(), "all of it is shut"
+        assert np.isinf(live.team.problem().kinds[0].travel_s[2, :2]).all(), "all of it is shut"
         answer, _ = one(live, "route_cleared", 1.0, door="room|2|room|3")
         assert answer.status == "accepted" and not live.barriers
 
@@ -486,9 +486,9 @@ def test_kernels_are_compiled_before_anything_is_decided(live):
 def test_a_place_that_is_blocked_makes_the_way_longer(live, two_room_map):
     begin(live)
     door_x, door_y = 4.0, 3.0
-    before = live.team.problem().travel_s
+    before = live.team.problem().kinds[0].travel_s
     answer, _ = one(live, "route_blocked", 0.5, x_m=3.0, y_m=1.5, radius_m=0.5)
-    after = live.team.problem().travel_s
+    after = live.team.problem().kinds[0].travel_s
     assert answer.status == "accepted"
     assert (after >= before - 1e-9).all() and np.isfinite(after).all()
     grid = live.team.home_map

@@ -39,7 +39,7 @@ def sample(homes, maps, number, size_classes=("small", "medium")):
 
 
 def world_of(trial, home):
-    spec = trial.team.spec
+    spec = trial.team.members[0]
     contents = {container.id: container.objects for container in home.containers}
     sensor = spec.perception.sensor(trial.objects)
     numbers = {container.id: number for number, container in enumerate(home.containers)}

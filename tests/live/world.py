@@ -14,7 +14,7 @@ def setup_of(trial, home, home_map, likelihood, planner, options=None):
     """A trial as a live team's setup."""
     task = ReadTask(trial.formula, trial.objects)
     return LiveSetup(
-        home, home_map, trial.formula, task, likelihood, trial.team.spec, planner, options or {}, seed=trial.seed
+        home, home_map, trial.formula, task, likelihood, trial.team.members[0], planner, options or {}, seed=trial.seed
     )
 
 

@@ -56,7 +56,7 @@ def test_ways_through_the_apartments_are_as_long_as_the_published_ones(number: i
         build_map(home),
         None,
         options["task"],
-        Team(options["robots"]),
+        Team.alike(options["robots"]),
         start_m=tuple(options["start"]),
         objects=options.get("objects", ()),
     )
@@ -90,7 +90,7 @@ def test_objects_and_places_may_have_names_that_formulas_quote() -> None:
     first, *others = home.containers
     renamed = replace(first, id="desk-1", objects=("c-clamp",))
     home = replace(home, containers=(renamed, *others))
-    given = make_scenario("dash", home, build_map(home), None, "bring the c-clamp to desk 1", Team(1))
+    given = make_scenario("dash", home, build_map(home), None, "bring the c-clamp to desk 1", Team.alike(1))
     assert given.trial.formula == 'F ("c-clamp" & X F "desk-1")' and given.trial.objects == ("c-clamp", "desk-1")
     assert given.likelihood[:, 1].tolist() == [1.0] + [0.0] * len(others)
     result = run_episode(given.trial, given.home, given.home_map, given.likelihood, "greedy")
@@ -100,7 +100,7 @@ def test_objects_and_places_may_have_names_that_formulas_quote() -> None:
 def test_worlds_are_drawn_by_the_likelihoods_with_every_object_somewhere() -> None:
     folder = SCENARIOS / "apartment2"
     home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")
-    scenario = make_scenario("drawn", home, build_map(home), None, "laptop and tv", Team(2))
+    scenario = make_scenario("drawn", home, build_map(home), None, "laptop and tv", Team.alike(2))
     likelihood = np.array([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.0, 0.0], [0.0, 0.2]])
     worlds = drawn_worlds(replace(scenario, likelihood=likelihood), 2000, seed=1)
     held = np.array(

@@ -56,10 +56,14 @@ class ExactPaperSolver:
         self.containers, self.objects = map(range, problem.presence_prob.shape)
         self.advancing = [{o for o in self.objects if automaton.advancing[z, o]} for z in range(len(self.delta))]
         self.needed = [self._needed(z, {z}) for z in range(len(self.delta))]
-        self.travel_s = problem.travel_s.tolist()
+        self.travel_s = problem.kinds[0].travel_s.tolist()
         self.away_s = [robot.travel_s.tolist() for robot in problem.robots]
         self.prob = problem.presence_prob.tolist()
-        self.search_s, self.interact_s, self.penalty_s = problem.search_time_s, problem.interact_time_s, penalty_s
+        self.search_s, self.interact_s, self.penalty_s = (
+            problem.kinds[0].search_time_s,
+            problem.kinds[0].interact_time_s,
+            penalty_s,
+        )
         pairs = [(c, o) for c in self.containers for o in self.objects if problem.searched[c]]
         found = frozenset(pair for pair in pairs if problem.presence_prob[pair] > 0)
         self.root = Team(

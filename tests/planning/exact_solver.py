@@ -9,6 +9,8 @@ from functools import cached_property
 from itertools import product
 from math import inf, prod
 
+import numpy as np
+
 SAME_INSTANT_S = 1e-9
 WAIT = -1
 
@@ -56,11 +58,21 @@ class ExactSolver:
             frozenset(o for o in self.advancing[z] if automaton.includes[self.delta[z, o], z]) for z in range(states)
         ]
         if decide_all is None:
-            decide_all = problem.interact_time_s > 0
+            decide_all = any(problem.kinds[robot.kind].interact_time_s > 0 for robot in problem.robots)
         self.safe = [frozenset()] * states if decide_all else self.harmless  # the automatic interactions
         self.steps = automaton.steps_to_accept
         self.needed = [self._needed(z, set()) for z in range(states)]
-        self.travel = problem.travel_s
+        self.kinds = [problem.kinds[robot.kind] for robot in problem.robots]
+        everything = frozenset(range(objects))
+        self.handles = [
+            everything if kind.handles is None else frozenset(np.flatnonzero(kind.handles).tolist())
+            for kind in self.kinds
+        ]
+        reach = np.isfinite([robot.travel_s for robot in problem.robots])
+        self.touchable = [
+            frozenset().union(*(touched for touched, there in zip(self.handles, column, strict=True) if there))
+            for column in reach.T
+        ]
         robots, undecided = [], set()
         for index, status in enumerate(problem.robots):
             robot = Robot(tuple(status.travel_s), status.place if status.place >= 0 else None)
@@ -76,6 +88,11 @@ class ExactSolver:
             for c in range(len(problem.searched))
         )
         self.root = State(0.0, problem.state, held, tuple(robots), frozenset(undecided))
+
+    def found(self, state):
+        """The objects that were found where a robot can touch them."""
+        there = (held & touched for held, touched in zip(state.held, self.touchable, strict=True) if held)
+        return frozenset().union(*there)
 
     def optimum(self):
         return self._decide(self.root)
@@ -100,7 +117,8 @@ class ExactSolver:
         if not robot.moving:
             return robot.reach[c]
         return min(
-            robot.until - state.clock + self.travel[robot.action[0], c], state.clock - robot.departed + robot.reach[c]
+            robot.until - state.clock + self.kinds[r].travel_s[robot.action[0], c],
+            state.clock - robot.departed + robot.reach[c],
         )
 
     def _actions(self, state, r):
@@ -109,23 +127,28 @@ class ExactSolver:
             for index, robot in enumerate(state.robots)
             if robot.action is not None and index not in state.undecided
         }
-        robot, needed = state.robots[r], self.needed[state.z]
+        robot, needed, handles = state.robots[r], self.needed[state.z], self.handles[r]
+        found = self.found(state)
         ready = (
             not robot.moving
             and robot.place is not None
             and state.held[robot.place] is not None
-            and state.held[robot.place] & needed - self.advancing[state.z]
+            and state.held[robot.place] & handles & needed - self.advancing[state.z]
         )
         for c, held in enumerate(state.held):
             if c in taken or self._distance(state, r, c) == inf:
                 continue
             if held is None:
-                if any(self.prob[c][o] > 0 for o in needed - state.found):
+                if any(self.prob[c][o] > 0 for o in needed - found):
                     yield c
-            elif held & needed & self.safe[state.z] or (held & needed - self.advancing[state.z] and not ready):
+                continue
+            useful = held & handles & needed
+            if useful & self.safe[state.z] or (useful - self.advancing[state.z] and not ready):
                 yield c
-        for o in self.advancing[state.z] - self.safe[state.z]:
-            places = [c for c, held in enumerate(state.held) if held and o in held]
+        for o in (self.advancing[state.z] - self.safe[state.z]) & handles:
+            places = [
+                c for c, held in enumerate(state.held) if held and o in held and self._distance(state, r, c) < inf
+            ]
             if places:
                 yield (min(places, key=lambda c: self._distance(state, r, c)), o)
         others = [index for index in range(len(state.robots)) if index != r]
@@ -195,10 +218,10 @@ class ExactSolver:
         robot = state.robots[r]
         container = robot.action[0]
         if robot.moving:
-            robot = replace(robot, reach=tuple(self.travel[container]), place=container)
+            robot = replace(robot, reach=tuple(self.kinds[r].travel_s[container]), place=container)
             if state.held[container] is None:
-                if self.problem.search_time_s > 0:
-                    busy = replace(robot, busy="search", until=robot.until + self.problem.search_time_s)
+                if self.kinds[r].search_time_s > 0:
+                    busy = replace(robot, busy="search", until=robot.until + self.kinds[r].search_time_s)
                     yield 1.0, self._with(state, r, busy), False, False
                     return
                 robot = replace(robot, busy="search")
@@ -236,10 +259,12 @@ class ExactSolver:
         robot = state.robots[r]
         container, named = robot.action
         allowed = self.safe[state.z] if named is None else self.advancing[state.z] & {named}
-        options = sorted(state.held[container] & allowed, key=lambda o: (self.steps[self.delta[state.z, o]], o))
+        options = sorted(
+            state.held[container] & allowed & self.handles[r], key=lambda o: (self.steps[self.delta[state.z, o]], o)
+        )
         if not options:
             return self._with(state, r, self._freed(robot)), True, news
-        until = state.clock + self.problem.interact_time_s
+        until = state.clock + self.kinds[r].interact_time_s
         return self._with(state, r, replace(robot, busy=options[0], until=until)), False, news
 
     def _contents(self, state, container):

@@ -29,7 +29,9 @@ DECIDE, ADVANCE = 0, 1
 
 
 class Task(NamedTuple):
-    travel: np.ndarray  # [C, C]
+    travel: np.ndarray  # [R, C, C]
+    handles: np.ndarray  # [R] masks
+    touchable: np.ndarray  # [C] masks of what a robot that gets there can touch
     prob: np.ndarray  # [C, O]
     delta: np.ndarray  # [Z, O]
     accepting: np.ndarray  # [Z]
@@ -38,8 +40,8 @@ class Task(NamedTuple):
     needed: np.ndarray  # [Z] masks
     steps: np.ndarray  # [Z]
     robots: int
-    search_s: float
-    interact_s: float
+    search_s: np.ndarray  # [R]
+    interact_s: np.ndarray  # [R]
 
 
 @inlined
@@ -64,17 +66,17 @@ def _moving(whole, i):
 
 @called
 def _distance(task, whole, real, r, c):
-    i, f = _robot(r, len(task.travel))
+    i, f = _robot(r, len(task.prob))
     if not _moving(whole, i):
         return real[f + REACH + c]
-    ahead = real[f + UNTIL] - real[0] + task.travel[whole[i + TARGET], c]
+    ahead = real[f + UNTIL] - real[0] + task.travel[r, whole[i + TARGET], c]
     return min(ahead, real[0] - real[f + DEPARTED] + real[f + REACH + c])
 
 
 @inlined
 def _stop(task, whole, real, r):
     """A robot under way stops where it is."""
-    containers = len(task.travel)
+    containers = len(task.prob)
     _, f = _robot(r, containers)
     for c in range(containers):
         real[f + REACH + c] = _distance(task, whole, real, r, c)
@@ -82,7 +84,7 @@ def _stop(task, whole, real, r):
 
 @called
 def _act(task, whole, real, r, target, want):
-    i, f = _robot(r, len(task.travel))
+    i, f = _robot(r, len(task.prob))
     whole[i + UNDECIDED] = 0
     moving = _moving(whole, i)
     if moving and whole[i + TARGET] == target:
@@ -110,7 +112,7 @@ def _found(whole, containers):
 @inlined
 def _useful(task, whole, real, r, c):
     """Whether going to a container without naming an object is an option."""
-    containers, z = len(task.travel), whole[Z]
+    containers, z = len(task.prob), whole[Z]
     held, needed, later = whole[HEADER + c], task.needed[z], task.needed[z] & ~task.advancing[z]
     for other in range(task.robots):
         j, _ = _robot(other, containers)
@@ -119,13 +121,17 @@ def _useful(task, whole, real, r, c):
     if _distance(task, whole, real, r, c) == np.inf:
         return False
     if held == NONE:
-        missing = needed & ~_found(whole, containers)
+        found = 0
+        for other in range(containers):
+            if whole[HEADER + other] != NONE:
+                found |= whole[HEADER + other] & task.touchable[other]
+        missing = needed & ~found
         hopes = 0
         for o in range(task.prob.shape[1]):
             hopes += (missing >> o) & 1 and task.prob[c, o] > 0
         return hopes > 0
     i, _ = _robot(r, containers)
-    place = whole[i + PLACE]
+    held, later, place = held & task.handles[r], later & task.handles[r], whole[i + PLACE]
     ready = not _moving(whole, i) and place != NONE and whole[HEADER + place] != NONE and whole[HEADER + place] & later
     return (held & needed & task.safe[z]) != 0 or ((held & later) != 0 and not ready)
 
@@ -133,10 +139,12 @@ def _useful(task, whole, real, r, c):
 @inlined
 def _nearest(task, whole, real, r, o):
     best = NONE
-    for c in range(len(task.travel)):
+    for c in range(len(task.prob)):
         held = whole[HEADER + c]
         if (
             held != NONE
+            and (task.handles[r] >> o) & 1
+            and _distance(task, whole, real, r, c) < np.inf
             and (held >> o) & 1
             and (best == NONE or _distance(task, whole, real, r, c) < _distance(task, whole, real, r, best))
         ):
@@ -147,7 +155,7 @@ def _nearest(task, whole, real, r, o):
 @inlined
 def _may_wait(task, whole, r):
     for other in range(task.robots):
-        j, _ = _robot(other, len(task.travel))
+        j, _ = _robot(other, len(task.prob))
         if other != r and (whole[j + UNDECIDED] or whole[j + TARGET] != NONE):
             return True
     return False
@@ -155,7 +163,7 @@ def _may_wait(task, whole, r):
 
 @inlined
 def _free(task, whole, real, r):
-    i, f = _robot(r, len(task.travel))
+    i, f = _robot(r, len(task.prob))
     whole[i + TARGET], whole[i + WANT], whole[i + BUSY] = NONE, NONE, NONE
     real[f + UNTIL] = np.inf
 
@@ -163,8 +171,9 @@ def _free(task, whole, real, r):
 @called
 def _interact(task, whole, real, r):
     """Whether the robot begins an interaction that its action allows."""
-    i, f = _robot(r, len(task.travel))
+    i, f = _robot(r, len(task.prob))
     z, here, best = whole[Z], whole[HEADER + whole[i + TARGET]], NONE
+    here &= task.handles[r]
     here &= task.safe[z] if whole[i + WANT] == NONE else task.advancing[z] & (1 << whole[i + WANT])
     for o in range(task.delta.shape[1]):
         if (here >> o) & 1 and (best == NONE or task.steps[task.delta[z, o]] < task.steps[task.delta[z, best]]):
@@ -172,14 +181,14 @@ def _interact(task, whole, real, r):
     if best == NONE:
         return False
     whole[i + BUSY] = best
-    real[f + UNTIL] = real[0] + task.interact_s
+    real[f + UNTIL] = real[0] + task.interact_s[r]
     return True
 
 
 @inlined
 def _wake(task, whole, real):
     for r in range(task.robots):
-        i, _ = _robot(r, len(task.travel))
+        i, _ = _robot(r, len(task.prob))
         place = whole[i + PLACE]
         if whole[i + TARGET] == NONE and place != NONE and whole[HEADER + place] != NONE:
             whole[i + TARGET], whole[i + WANT] = place, NONE
@@ -197,17 +206,17 @@ def _begin_or_free(task, whole, real, r):
 @called
 def _event(task, whole, real, r):
     """Handle a robot's event; whether its container's contents are to be drawn first."""
-    containers = len(task.travel)
+    containers = len(task.prob)
     i, f = _robot(r, containers)
     c = whole[i + TARGET]
     if whole[i + BUSY] == NONE:
         for other in range(containers):
-            real[f + REACH + other] = task.travel[c, other]
+            real[f + REACH + other] = task.travel[r, c, other]
         whole[i + PLACE] = c
         if whole[HEADER + c] == NONE:
             whole[i + BUSY] = SEARCH
-            if task.search_s > 0:
-                real[f + UNTIL] += task.search_s
+            if task.search_s[r] > 0:
+                real[f + UNTIL] += task.search_s[r]
                 return False
     if whole[i + BUSY] == SEARCH and whole[HEADER + c] == NONE:
         return True
@@ -232,13 +241,13 @@ def _event(task, whole, real, r):
 @inlined
 def _weight(task, whole, c, held):
     """The probability that a container about to be searched holds these of the needed objects."""
-    found, needed, weight = _found(whole, len(task.travel)), task.needed[whole[Z]], 1.0
+    found, needed, weight = _found(whole, len(task.prob)), task.needed[whole[Z]], 1.0
     for o in range(task.prob.shape[1]):
         if (needed >> o) & 1:
             here = task.prob[c, o]
             if not (found >> o) & 1:
                 nowhere = 1.0
-                for other in range(len(task.travel)):
+                for other in range(len(task.prob)):
                     if whole[HEADER + other] == NONE:
                         nowhere *= 1.0 - task.prob[other, o]
                 here /= 1.0 - nowhere
@@ -252,7 +261,7 @@ def _weight(task, whole, c, held):
 @njit(pipeline_class=KernelCompiler, **KERNEL)  # numba crashes where it loads a recursive function from its cache
 def _cost(task, wholes, reals, d, phase, bound):
     """The least expected makespan from the state at depth ``d``; any figure of at least ``bound`` if it is no less."""
-    whole, real, containers = wholes[d], reals[d], len(task.travel)
+    whole, real, containers = wholes[d], reals[d], len(task.prob)
     if phase == DECIDE:
         decider = NONE
         for r in range(task.robots - 1, -1, -1):
@@ -335,7 +344,9 @@ class FastSolver:
             return np.array([sum(1 << o for o in objects) for objects in sets], dtype=np.int64)
 
         self.task = Task(
-            np.ascontiguousarray(problem.travel_s),
+            np.array([kind.travel_s for kind in slow.kinds]),
+            masks(slow.handles),
+            masks(slow.touchable),
             np.ascontiguousarray(prob),
             slow.delta.astype(np.int64),
             slow.accepting.astype(np.int64),
@@ -344,8 +355,8 @@ class FastSolver:
             masks(slow.needed),
             np.asarray(slow.steps, dtype=np.int64),
             len(problem.robots),
-            float(problem.search_time_s),
-            float(problem.interact_time_s),
+            np.array([kind.search_time_s for kind in slow.kinds], dtype=float),
+            np.array([kind.interact_time_s for kind in slow.kinds], dtype=float),
         )
         containers = len(problem.searched)
         self.wholes = np.zeros((DEPTH, HEADER + containers + WIDTH * len(problem.robots)), dtype=np.int64)

@@ -92,12 +92,14 @@ class NaivePaperSearch:
         self.worth = worth_doing(problem)[1]
         self.needed = [set().union(*map(set, self._ways(z))) for z in range(len(self.delta))]
         self.sufficient = [self._minimal(z) for z in range(len(self.delta))]
-        self.travel_s = problem.travel_s.tolist()
+        kinds = [problem.kinds[robot.kind] for robot in problem.robots]
+        self.travel_s = [kind.travel_s.tolist() for kind in kinds]
         self.prob = self._likelihoods(problem)
-        self.search_s, self.interact_s = problem.search_time_s, problem.interact_time_s
-        ways_s = self.travel_s + [robot.travel_s.tolist() for robot in problem.robots]
+        self.search_s = [kind.search_time_s for kind in kinds]
+        self.interact_s = [kind.interact_time_s for kind in kinds]
+        ways_s = [row for rows in self.travel_s for row in rows] + [robot.travel_s.tolist() for robot in problem.robots]
         finite_s = [s for row in ways_s for s in row if s < math.inf]
-        self.penalty_s = len(self.containers) * (max([1.0, *finite_s]) + self.search_s)
+        self.penalty_s = len(self.containers) * (max([1.0, *finite_s]) + max(self.search_s))
         self.limit, self.random = min(options.samples + 1, options.max_nodes), SplitMix64(seed)
         self.start = self._start(problem)
         self.rollouts = NaiveRollouts(self) if options.leaf == "greedy" else None
@@ -151,7 +153,7 @@ class NaivePaperSearch:
         searched = {c for c in self.containers if problem.searched[c]}
         known = {(c, o): bool(problem.presence_prob[c, o] > 0) for c in searched for o in self.objects}
         robots = []
-        for status in problem.robots:
+        for index, status in enumerate(problem.robots):
             robot = Robot(status.place if status.place >= 0 else None, status.travel_s.tolist(), undecided=status.free)
             robot.origin = robot.place
             if not status.free:
@@ -159,11 +161,11 @@ class NaivePaperSearch:
                 robot.arrive_s = status.remaining_s
                 if status.target >= 0:
                     robot.place, robot.origin, robot.reach_s = status.target, None, status.remaining_s
-                    robot.arrive_s += 0.0 if status.target in searched else self.search_s
+                    robot.arrive_s += 0.0 if status.target in searched else self.search_s[index]
                 elif status.interacting >= 0:
                     robot.obj = status.interacting
-                    robot.arrive_s -= self.interact_s
-                robot.done_s = robot.arrive_s + self.interact_s
+                    robot.arrive_s -= self.interact_s[index]
+                robot.done_s = robot.arrive_s + self.interact_s[index]
                 if self.options.reassign == "all" and problem.may_redirect and status.target >= 0:
                     robot.obj, robot.undecided, robot.under_way = None, True, True
             robots.append(robot)
@@ -173,9 +175,9 @@ class NaivePaperSearch:
     def distance_s(self, belief, r, c):
         robot = belief.robots[r]
         if not robot.under_way:
-            return robot.away_s[c] if robot.place is None else self.travel_s[robot.place][c]
-        start_s = robot.away_s[c] if robot.origin is None else self.travel_s[robot.origin][c]
-        ahead_s = robot.reach_s - belief.clock_s + self.travel_s[robot.place][c]
+            return robot.away_s[c] if robot.place is None else self.travel_s[r][robot.place][c]
+        start_s = robot.away_s[c] if robot.origin is None else self.travel_s[r][robot.origin][c]
+        ahead_s = robot.reach_s - belief.clock_s + self.travel_s[r][robot.place][c]
         return min(ahead_s, belief.clock_s - robot.since_s + start_s)
 
     def p_s(self, belief, pair):
@@ -246,8 +248,8 @@ class NaivePaperSearch:
             robot.origin, robot.since_s = robot.place, belief.clock_s
         robot.arrive_s = robot.reach_s
         if c not in belief.searched:
-            robot.arrive_s += self.search_s
-        robot.done_s = robot.arrive_s + self.interact_s
+            robot.arrive_s += self.search_s[r]
+        robot.done_s = robot.arrive_s + self.interact_s[r]
         robot.place = c
 
     def advance(self, belief):
@@ -311,13 +313,13 @@ class NaivePaperSearch:
             for robot in sorted(belief.robots, key=lambda robot: -robot.done_s)
             if robot.obj is not None and robot.arrive_s <= belief.clock_s and belief.known.get((robot.place, robot.obj))
         }
-        rest_s = [self._fetch_s(belief, obj, nearest_s) + self.interact_s for obj in self.objects]
+        rest_s = [self._fetch_s(belief, obj, nearest_s) + min(self.interact_s) for obj in self.objects]
         for obj, left_s in begun.items():
             rest_s[obj] = min(rest_s[obj], left_s)
 
         def takes_s(members):
             rounds = math.ceil(len(members - begun.keys()) / len(belief.robots))
-            return max(max(rest_s[obj] for obj in members), rounds * self.interact_s)
+            return max(max(rest_s[obj] for obj in members), rounds * min(self.interact_s))
 
         best_s = min(map(takes_s, self.sufficient[belief.z]), default=math.inf)
         return best_s if best_s < math.inf else self.penalty_s
@@ -452,7 +454,7 @@ class NaiveRollouts:
 
     def robot(self, belief, r, held):
         """A robot in the terms of `ExactSolver`."""
-        robot, travel_s = belief.robots[r], self.search.travel_s
+        robot, travel_s = belief.robots[r], self.search.travel_s[r]
         if robot.obj is None and not robot.under_way:
             return SolverRobot(tuple(self.search.distance_s(belief, r, c) for c in self.search.containers), robot.place)
         advances = robot.obj in self.twin.advancing[belief.z]

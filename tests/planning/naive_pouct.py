@@ -4,7 +4,7 @@ How a team's actions unfold is taken from the exact solver, with contents drawn 
 looks at every pair of robot and action again whenever it chooses; the tree is made of objects.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, log, prod, sqrt
 
 import numpy as np
@@ -43,10 +43,14 @@ def worth_doing(problem):
     """For each state the objects that are safe or bring acceptance nearer; and with them those after which it can be
     reached without the state. Letters are the objects that were found, or all while something is left to search."""
     automaton = problem.automaton
-    reach = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
-    left = (reach & ~problem.searched).any()
     letters = [
-        o for o in range(len(automaton.propositions)) if left or any(problem.holds(c, o) for c in range(len(reach)))
+        o
+        for o in range(len(automaton.propositions))
+        if any(
+            problem.handles[r, o] and robot.travel_s[c] < inf and (not problem.searched[c] or problem.holds(c, o))
+            for r, robot in enumerate(problem.robots)
+            for c in range(len(problem.searched))
+        )
     ]
 
     def steps(z, without=None):
@@ -74,6 +78,9 @@ class NaivePouct(ExactSolver):
         self.most = min(options.samples + 1, options.max_nodes)  # nodes, and as many edges
         self.nodes, self.edges = 1, 0
         self.nearer, self.worth = worth_doing(problem)
+        ways = [*(row for kind in self.kinds for row in kind.travel_s), *(robot.travel_s for robot in problem.robots)]
+        longest = max((s for row in ways for s in row if s < inf), default=1.0)
+        self.penalty = len(problem.searched) * (longest + max(kind.search_time_s for kind in self.kinds))
         self.tree = Node(self.first_to_decide(self.root))
 
     def run(self, samples):
@@ -187,7 +194,7 @@ class NaivePouct(ExactSolver):
                     scored.append((score, c))
             if scored:
                 break
-        for o in sorted((allowed[state.z] - self.safe[state.z]) & state.found - fetching):
+        for o in sorted((allowed[state.z] - self.safe[state.z]) & self.found(state) & self.handles[r] - fetching):
             distance = self._distance(state, r, self.nearest_holding(state, r, o))
             if allowed is self.nearer and self.disturbed(state, o):
                 continue
@@ -219,10 +226,11 @@ class NaivePouct(ExactSolver):
         needed, nearer = self.needed[state.z], self.nearer[state.z]
         distance = max(self._distance(state, r, c), 1e-9)
         if state.held[c] is None:
-            weights = {o: 1.0 if o in nearer else self.options.later_weight for o in needed - state.found}
+            sought = (needed - self.found(state)) & self.touchable[c]
+            weights = {o: 1.0 if o in nearer else self.options.later_weight for o in sought}
             helps = 1 - prod(1 - weight * self.prob[c][o] for o, weight in weights.items())
             return distance / helps if helps > 0 else inf
-        useful = state.held[c] & needed
+        useful = state.held[c] & needed & self.handles[r]
         if useful & self.safe[state.z] - fetching:
             return distance
         if early and useful - nearer and not self.stands_ready(state, r):
@@ -238,7 +246,7 @@ class NaivePouct(ExactSolver):
             if robot.busy not in (None, "search"):
                 mask |= {robot.busy}
             elif robot.moving and index not in state.undecided:
-                mask |= state.held[robot.action[0]] or frozenset()
+                mask |= (state.held[robot.action[0]] or frozenset()) & self.handles[index]
         return mask
 
     def nothing_left(self, state, fetching):
@@ -248,7 +256,7 @@ class NaivePouct(ExactSolver):
         robot = state.robots[r]
         if robot.moving or robot.place is None or state.held[robot.place] is None:
             return False
-        return bool(state.held[robot.place] & self.needed[state.z] - self.nearer[state.z])
+        return bool(state.held[robot.place] & self.handles[r] & self.needed[state.z] - self.nearer[state.z])
 
     def nearest_holding(self, state, r, o):
         places = [c for c, held in enumerate(state.held) if held and o in held]
@@ -262,7 +270,10 @@ class NaivePouct(ExactSolver):
         """(state, done) at the next decision instant, contents drawn."""
         done = False
         while not (done or state.undecided):
+            began = state.clock
             [(_, state, done)] = self._advance(state, freed=False, news=False)
+            if state.clock == inf:  # nobody does anything any more
+                state = replace(state, clock=began + self.penalty)
         return state, done
 
     def _contents(self, state, container):

@@ -22,6 +22,7 @@ class Robot:
     until_s: float = inf
     interaction: int = ANY_SAFE
     interacting: int = -1
+    kind: int = 0
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Play:
         self.problem, self.truth = problem, truth
         self.state, self.searched, self.clock_s, self.news = problem.state, problem.searched.copy(), 0.0, True
         self.prob = problem.presence_prob.copy()
-        self.robots = [Robot(robot.travel_s, robot.place) for robot in problem.robots]
+        self.robots = [Robot(robot.travel_s, robot.place, kind=robot.kind) for robot in problem.robots]
 
     def run(self, planner, seed=0, limit=200):
         decisions = idle = most_idle = 0
@@ -69,6 +70,7 @@ class Play:
                 interaction=robot.interaction,
                 remaining_s=0.0 if robot.doing == "free" else robot.until_s - self.clock_s,
                 interacting=robot.interacting if robot.doing == "interact" else -1,
+                kind=robot.kind,
             )
             for robot in self.robots
         )
@@ -84,7 +86,7 @@ class Play:
     def ways_s(self, robot):
         if robot.doing != "move":
             return robot.row
-        ahead_s = robot.until_s - self.clock_s + self.problem.travel_s[robot.target]
+        ahead_s = robot.until_s - self.clock_s + self.problem.kinds[robot.kind].travel_s[robot.target]
         return np.minimum(ahead_s, self.clock_s - robot.since_s + robot.row)
 
     def start(self, robot, assignment):
@@ -111,10 +113,11 @@ class Play:
 
     def finish(self, robot):
         """A robot has arrived, searched or interacted: whether that frees it."""
+        kind = self.problem.kinds[robot.kind]
         if robot.doing == "move":
-            robot.place, robot.row = robot.target, self.problem.travel_s[robot.target]
+            robot.place, robot.row = robot.target, kind.travel_s[robot.target]
             if not self.searched[robot.place]:
-                robot.doing, robot.until_s = "search", self.clock_s + self.problem.search_time_s
+                robot.doing, robot.until_s = "search", self.clock_s + kind.search_time_s
                 return False
         elif robot.doing == "search":
             self.news |= not self.searched[robot.place]
@@ -125,11 +128,12 @@ class Play:
         if robot.doing != "interact" or robot.interaction == ANY_SAFE:
             automaton = self.problem.automaton
             allowed = safe(automaton) if robot.interaction == ANY_SAFE else automaton.advancing
-            here = np.flatnonzero(allowed[self.state] & self.truth[robot.place])
+            touched = np.ones(self.truth.shape[1], dtype=bool) if kind.handles is None else kind.handles
+            here = np.flatnonzero(allowed[self.state] & self.truth[robot.place] & touched)
             chosen = [obj for obj in here if robot.interaction in (ANY_SAFE, obj)]
             if chosen:
                 robot.doing, robot.interacting = "interact", int(chosen[0])
-                robot.until_s = self.clock_s + self.problem.interact_time_s
+                robot.until_s = self.clock_s + kind.interact_time_s
                 return False
         robot.doing, robot.until_s = "free", inf
         return True

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
@@ -41,15 +41,13 @@ def make_problem(formula, names, points, starts, prob, *, searched=(), **times):
     automaton = build_automaton(formula, names)
     done = np.zeros(len(points), dtype=bool)
     done[list(searched)] = True
-    travel_s = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    kind = RobotKind(np.hypot(*(points[:, None] - points).transpose(2, 0, 1)), **times)
     robots = []
     for start in starts:
         away_s = np.hypot(*(points - start).T)
         at = np.flatnonzero(away_s == 0)
         robots.append(RobotStatus(away_s, place=int(at[0]) if len(at) else -1))
-    return PlanningProblem(
-        automaton, automaton.initial, np.asarray(prob, dtype=float), done, travel_s, tuple(robots), **times
-    )
+    return PlanningProblem(automaton, automaton.initial, np.asarray(prob, dtype=float), done, (kind,), tuple(robots))
 
 
 def tiny_problem(number):
@@ -83,3 +81,29 @@ def tiny_problem(number):
         under_way = replace(last, free=False, target=target, remaining_s=float(last.travel_s[target]))
         problem = replace(problem, robots=(*problem.robots[:-1], under_way))
     return problem
+
+
+def unlike(problem, seed, *, abilities=True):
+    """The problem with a kind for each robot: other speeds and times and, with ``abilities``, other ways and skills.
+
+    Each object can be touched by a robot that gets to every container.
+    """
+    rng = np.random.default_rng([seed, 20261201])
+    containers, objects = problem.presence_prob.shape
+    able = int(rng.integers(len(problem.robots)))
+    kinds, robots = [], []
+    for index, robot in enumerate(problem.robots):
+        slower = float(rng.choice([0.5, 1.0, 2.0, 3.0]))
+        barred = (rng.random(containers) < 0.3) & (abilities and index != able)
+        if robot.place >= 0:
+            barred[robot.place] = False
+        if robot.target >= 0:
+            barred[robot.target] = False
+        like = problem.kinds[robot.kind]
+        travel_s = np.where(barred | barred[:, None], np.inf, like.travel_s * slower)
+        handles = rng.random(objects) < 0.5 if abilities and index != able else None
+        times = {"search_time_s": like.search_time_s * slower, "interact_time_s": like.interact_time_s / slower}
+        kinds.append(RobotKind(travel_s, handles=handles, **times))
+        away_s = np.where(barred, np.inf, robot.travel_s * slower)
+        robots.append(replace(robot, travel_s=away_s, kind=index, remaining_s=robot.remaining_s * slower))
+    return replace(problem, kinds=tuple(kinds), robots=tuple(robots))

@@ -21,7 +21,7 @@ from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.exactness import first_actions
 from tests.planning.fast_solver import FastSolver
-from tests.planning.problems import NAMES, make_problem
+from tests.planning.problems import NAMES, make_problem, unlike
 
 ORDERED = (
     "F (a & X b)",
@@ -64,14 +64,14 @@ def regret_problem(number):
 
 
 class Optima:
-    """The exact values of problems' first joint actions, kept in a file."""
+    """The exact values of first joint actions for problems of one ``kind``, kept in a file."""
 
-    def __init__(self, path):
-        self.path = Path(path)
+    def __init__(self, path, kind=""):
+        self.path, self.kind = Path(path), kind
         self.known = json.loads(self.path.read_text()) if self.path.exists() else {}
 
     def value(self, number, problem, joint=None):
-        key = f"{number} {sorted(joint.items()) if joint else ''}"
+        key = f"{self.kind}{number} {sorted(joint.items()) if joint else ''}"
         if key not in self.known:
             solver = FastSolver(problem, problem.presence_prob)
             self.known[key] = solver.value(joint) if joint else solver.optimum()
@@ -114,10 +114,10 @@ class ClosedLoop(ExactSolver):
         )
 
     def _status(self, state, r):
-        robot = state.robots[r]
+        robot, kind = state.robots[r], self.problem.robots[r].kind
         away_s = np.array([self._distance(state, r, c) for c in range(len(state.held))])
         if robot.action is None:
-            return RobotStatus(away_s, place=-1 if robot.place is None else robot.place)
+            return RobotStatus(away_s, place=-1 if robot.place is None else robot.place, kind=kind)
         container, named = robot.action
         busy = not robot.moving
         return RobotStatus(
@@ -128,11 +128,14 @@ class ClosedLoop(ExactSolver):
             interaction=ANY_SAFE if named is None else named,
             remaining_s=robot.until - state.clock,
             interacting=robot.busy if isinstance(robot.busy, int) else -1,
+            kind=kind,
         )
 
 
-def regret(number, optima, samples, seed, closed=False):
+def regret(number, optima, samples, seed, closed=False, differ=False):
     problem, planner = regret_problem(number), make_planner("pouct", {"samples": samples})
+    if differ:
+        problem = unlike(problem, number)
     best_s = optima.value(number, problem)
     if closed:
         return ClosedLoop(problem, planner, seed).optimum() / best_s - 1, np.nan
@@ -147,14 +150,15 @@ def main():
     parser.add_argument("--samples", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--closed", action="store_true")
+    parser.add_argument("--unlike", action="store_true", help="robots that differ")
     parser.add_argument("--cache", default="optima.json")
     arguments = parser.parse_args()
-    optima = Optima(arguments.cache)
+    optima = Optima(arguments.cache, "unlike" if arguments.unlike else "")
     for samples in arguments.samples:
         for seed in arguments.seeds:
             found = np.array(
                 [
-                    regret(number, optima, samples, 1000 * seed + number, arguments.closed)
+                    regret(number, optima, samples, 1000 * seed + number, arguments.closed, arguments.unlike)
                     for number in range(arguments.first, arguments.first + arguments.problems)
                 ]
             )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrtask.planning.planners import PLANNERS, make_planner
-from mrtask.planning.problem import WAIT
+from mrtask.planning.problem import WAIT, RobotKind
 from tests.planning.problems import make_problem, random_problem
 
 SEARCHES = {"samples": 200}
@@ -56,8 +56,9 @@ def test_a_container_that_only_one_robot_reaches_is_left_to_it(name):
         ({"presence_prob": np.full((3, 2), np.nan)}, r"presence_prob must lie in \[0, 1\]"),
         ({"presence_prob": np.full((3, 5), 0.5)}, "presence_prob has 5 objects, the automaton 2"),
         ({"searched": np.zeros(4, dtype=bool)}, "must be .* with the C = 3"),
-        ({"travel_s": np.full((3, 3), -1.0)}, "travel_s must be >= 0"),
-        ({"travel_s": np.full((3, 3), np.nan)}, "travel_s must be >= 0"),
+        ({"kinds": (RobotKind(np.zeros((2, 2))),)}, "must be .* with the C = 3"),
+        ({"kinds": (RobotKind(np.zeros((3, 3)), handles=np.ones(3, dtype=bool)),)}, "handles .* O = 2"),
+        ({"kinds": ()}, "one of the 0 kinds"),
         ({"robots": ()}, "at least one robot"),
     ],
 )
@@ -65,3 +66,9 @@ def test_problems_that_make_no_sense_are_refused(change, message):
     problem = random_problem(1, template="and2", robots=1, containers=3)
     with pytest.raises(ValueError, match=message):
         replace(problem, **change)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, np.nan])
+def test_ways_that_take_no_time_at_all_are_refused(seconds):
+    with pytest.raises(ValueError, match="travel_s must be >= 0"):
+        RobotKind(np.full((3, 3), seconds))

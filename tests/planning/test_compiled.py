@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = """
 import numpy as np
 from mrtask.planning.greedy import Greedy
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 
 automaton = build_automaton("F a", ["a"])
@@ -28,7 +28,7 @@ problem = PlanningProblem(
     automaton.initial,
     np.full((2, 1), 0.5),
     np.zeros(2, dtype=bool),
-    np.zeros((2, 2)),
+    (RobotKind(np.zeros((2, 2))),),
     (RobotStatus(far_and_near),),
 )
 print(Greedy().plan(problem, 0).assignments[0].container)

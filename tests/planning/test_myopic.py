@@ -129,7 +129,10 @@ def test_robots_under_way_are_assigned_anew_after_news(name):
 def test_a_robot_that_is_redirected_leaves_its_container_to_others(name):
     # An object was found at 20 m, where robot 0 stands free; robot 1, on its way there, has nothing left to look for.
     problem = line_problem(searched=[0, 1, 2], presence_prob=np.array([[0, 0], [0, 0], [1, 1]]))
-    robots = (replace(problem.robots[0], travel_s=problem.travel_s[2], place=2), under_way(problem.robots[1], 2))
+    robots = (
+        replace(problem.robots[0], travel_s=problem.kinds[0].travel_s[2], place=2),
+        under_way(problem.robots[1], 2),
+    )
     plan = make_planner(name).plan(replace(problem, robots=robots), 0)
     assert plan.assignments[0].container == 2
     assert plan.assignments[1] == Assignment(WAIT)

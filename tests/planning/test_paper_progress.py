@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrtask.planning.paper.planner import PaperPouct
-from mrtask.planning.problem import PlanningProblem, RobotStatus
+from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula
 from tests.planning.play import Play
@@ -66,11 +66,11 @@ def test_known_places_are_not_paced_between():
     # Trial small-2-035 of `make reproduce` (or_seq: Pan or Plate, then TeddyBear, then SprayBottle), to the decimetre:
     # a robot went to and fro between the two known bottles 997 times, and nobody looked for the bear.
     names = ("Pan", "Plate", "TeddyBear", "SprayBottle")
-    travel_s = np.array(TRAVEL_S)
+    kind = RobotKind(np.array(TRAVEL_S))
     automaton = build_automaton(make_formula("or_seq", names), names)
     start = RobotStatus(np.array(FROM_START_S))
     prob, searched = np.array(PROB, dtype=float), np.zeros(8, dtype=bool)
-    problem = PlanningProblem(automaton, automaton.initial, prob, searched, travel_s, (start, start))
+    problem = PlanningProblem(automaton, automaton.initial, prob, searched, (kind,), (start, start))
     truth = np.zeros((8, 4), dtype=bool)
     truth[[0, 2, 2, 3, 6], [2, 0, 3, 3, 1]] = True
     for seed in range(5):

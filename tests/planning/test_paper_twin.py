@@ -16,7 +16,7 @@ from mrtask.planning.shared_kernel import any_undecided
 from mrtask.planning.tree import edges_of
 from tests.planning.naive_paper import WAIT, NaivePaperSearch
 from tests.planning.naive_random import SplitMix64
-from tests.planning.problems import random_problem, tiny_problem
+from tests.planning.problems import random_problem, tiny_problem, unlike
 
 act, any_undecided, copy_belief = compiled(kernel.act), compiled(any_undecided), compiled(kernel.copy_belief)
 decision_node, mark_undecided = compiled(kernel.decision_node), compiled(kernel.mark_undecided)
@@ -37,7 +37,7 @@ def odd_problem(seed):
     prob[rng.random(prob.shape) < 0.1] = 1.0
     searched[[0, 1]] = True
     prob[[0, 1]] = rng.random((2, prob.shape[1])) < 0.6
-    travel_s = problem.travel_s.copy()
+    travel_s = problem.kinds[0].travel_s.copy()
     travel_s[5, :5] = travel_s[:5, 5] = np.inf
     away_s = np.append(problem.robots[0].travel_s[:5], np.inf)
     team = (
@@ -48,11 +48,14 @@ def odd_problem(seed):
         if seed % 2
         else RobotStatus(travel_s[3], place=3, free=False, remaining_s=0.6),
     )
-    return replace(problem, presence_prob=prob, searched=searched, travel_s=travel_s, robots=team)
+    kinds = (replace(problem.kinds[0], travel_s=travel_s),)
+    return replace(problem, presence_prob=prob, searched=searched, kinds=kinds, robots=team)
 
 
 PROBLEMS = [*(pytest.param(tiny_problem(number), id=f"tiny-{number}") for number in range(20)),
-            *(pytest.param(odd_problem(seed), id=f"odd-{seed}") for seed in range(8))]  # fmt: skip
+            *(pytest.param(odd_problem(seed), id=f"odd-{seed}") for seed in range(8)),
+            *(pytest.param(unlike(tiny_problem(number), number, abilities=False), id=f"unlike-{number}")
+              for number in range(4, 12))]  # fmt: skip
 
 
 def test_the_random_numbers_are_splitmix64():

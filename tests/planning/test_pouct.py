@@ -140,11 +140,12 @@ def test_a_time_limit_ends_the_search_early():
 
 def test_unreachable_containers_are_never_chosen():
     problem = random_problem(1, template="and2", robots=2, containers=5)
-    travel_s = problem.travel_s.copy()
+    travel_s = problem.kinds[0].travel_s.copy()
     travel_s[2, :] = travel_s[:, 2] = np.inf
     away_s = problem.robots[0].travel_s.copy()
     away_s[2] = np.inf
-    cut_off = replace(problem, travel_s=travel_s, robots=(RobotStatus(away_s), RobotStatus(away_s)))
+    kinds = (replace(problem.kinds[0], travel_s=travel_s),)
+    cut_off = replace(problem, kinds=kinds, robots=(RobotStatus(away_s), RobotStatus(away_s)))
     for name in PLANNERS:
         options = {"samples": 300} if name in ("pouct", "pouct_paper", "known") else {}
         plan = make_planner(name, options).plan(cut_off, seed=0)

@@ -10,7 +10,7 @@ from mrtask.planning.problem import ANY_SAFE, NONE_UNNAMED, WAIT, Assignment
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.naive_pouct import NaivePouct
-from tests.planning.problems import NAMES, make_problem, random_problem
+from tests.planning.problems import NAMES, make_problem, random_problem, unlike
 
 DETOURS = (
     "F (a & X (b & X c))",
@@ -32,7 +32,7 @@ def compare(problem, seed, planner, monkeypatch):
     plan = planner.plan(problem, seed)
     naive = NaivePouct(problem, team_model(problem).prob, seed, planner)
     tree = naive.run(planner.samples)
-    unnamed = NONE_UNNAMED if problem.interact_time_s > 0 else ANY_SAFE
+    unnamed = NONE_UNNAMED if problem.interacting_takes_time else ANY_SAFE
     seen = {assignment: (visits, mean_s) for assignment, visits, mean_s, _ in plan.info.root}
     expected = {}
     for edge in tree.edges:
@@ -59,6 +59,21 @@ def test_every_sample_of_pouct_equals_the_twins(template, robots, containers, se
         interact_time_s=seconds[1],
     )
     compare(problem, seed, Pouct(samples=200), monkeypatch)
+
+
+@pytest.mark.parametrize("template", PAPER_TEMPLATES)
+@pytest.mark.parametrize("seconds", [(0.0, 0.0), (1.0, 2.0)])
+def test_every_sample_equals_the_twins_where_robots_differ(template, seconds, monkeypatch):
+    for seed in range(3):
+        problem = random_problem(
+            seed,
+            template=template,
+            robots=2 + seed % 2,
+            containers=5,
+            search_time_s=seconds[0],
+            interact_time_s=seconds[1],
+        )
+        compare(unlike(problem, seed), seed, Pouct(samples=200), monkeypatch)
 
 
 @pytest.mark.parametrize("formula", DETOURS)
@@ -88,6 +103,7 @@ def test_a_full_tree_and_other_options_equal_the_twins(monkeypatch):
 def test_greedy_equals_the_twins(template, robots):
     for seed in range(5):
         problem = random_problem(seed, template=template, robots=robots, containers=6)
+        problem = problem if seed < 3 else unlike(problem, seed)
         naive = NaivePouct(problem, team_model(problem).prob, 0, Pouct())
         state, expected = naive.root, {}
         while state.undecided:

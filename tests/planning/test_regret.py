@@ -7,23 +7,34 @@ from mrtask.planning.planners import make_planner
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.exactness import first_actions
 from tests.planning.fast_solver import FastSolver
-from tests.planning.problems import tiny_problem
+from tests.planning.problems import tiny_problem, unlike
 from tests.planning.regret import regret_problem
 
 HARD = (28, 255, 271)
 """Problems of two robots whose best joint action looks bad until both of its parts were tried together."""
+UNLIKE = (17, 33, 48, 63)
+"""Problems of two robots that are small enough to be solved in a moment."""
 
 
 @pytest.mark.parametrize("first", range(0, 24, 6))
 def test_the_compiled_solver_equals_the_plain_one(first):
     for number in range(first, first + 6):
         problem = tiny_problem(number)
-        if len(problem.robots) * len(problem.searched) > (2 if problem.interact_time_s else 4):
+        problem = unlike(problem, number) if number % 2 else problem
+        if len(problem.robots) * len(problem.searched) > (2 if problem.interacting_takes_time else 4):
             continue  # plain Python would take too long
         fast, slow = FastSolver(problem, problem.presence_prob), ExactSolver(problem, problem.presence_prob)
         assert fast.optimum() == pytest.approx(slow.optimum(), rel=1e-12)
         joint = first_actions("pouct", make_planner("pouct", {"samples": 50}).plan(problem, number))
         assert fast.value(joint) == pytest.approx(slow.value(joint), rel=1e-12)
+
+
+@pytest.mark.parametrize("number", UNLIKE)
+def test_robots_that_differ_decide_nearly_as_well_as_can_be(number):
+    problem = unlike(regret_problem(number), number)
+    solver = FastSolver(problem, problem.presence_prob)
+    plan = make_planner("pouct", {"samples": 20_000}).plan(problem, number)
+    assert solver.value(first_actions("pouct", plan)) <= solver.optimum() * 1.02
 
 
 @pytest.mark.parametrize("number", HARD)

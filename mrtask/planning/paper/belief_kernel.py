@@ -31,11 +31,14 @@ ROBOT = np.dtype(
         ("done_s", np.float64),  # time of the action's success event
         ("reach_s", np.float64),  # time at which the robot reaches its container, before the search
         ("since_s", np.float64),  # time of departure
+        ("search_time_s", np.float64),
+        ("interact_time_s", np.float64),
         ("place", np.int64),  # container at which a robot stands or to which it goes, NONE anywhere else
         ("obj", np.int64),  # object of the robot's action, NONE while it is free or waits
-        ("origin", np.int64),  # container of departure, or NONE if `PaperBelief.away` holds the times
+        ("origin", np.int64),  # row of `PaperModel.travel_s` of the place of departure, NONE: see `PaperBelief.away`
         ("undecided", np.int64),
         ("under_way", np.int64),  # 1 for a robot that decides again in mid-path
+        ("rows", np.int64),  # the first row of the robot's kind in `PaperModel.travel_s`
     ],
     align=True,
 )
@@ -44,14 +47,13 @@ ROBOT = np.dtype(
 class PaperModel(NamedTuple):
     """The data that do not change while planning."""
 
-    travel_s: Floats  # [C, C]
+    travel_s: Floats  # [K * C, C] of all kinds of robots, one below the other
     prob: Floats  # [C, O]
     possible: Ints  # [C] mask of the objects whose likelihood is above 0
     transitions: Ints  # [Z, O]
     states: Records  # [Z] of `shared_kernel.STATE`
     sufficient: Ints  # [Z, S] minimal sets of objects that complete the task, padded with NONE
-    search_time_s: float
-    interact_time_s: float
+    least_interact_time_s: float
     penalty_s: float  # added to the cost of a sample that cannot finish
     exists: bool  # whether likelihoods are conditioned on every object being somewhere
     redirect: bool  # whether robots under way decide again after news
@@ -86,9 +88,9 @@ def distance_s(model: PaperModel, belief: PaperBelief, r: int, c: int) -> float:
     if robot.under_way:
         origin = robot.origin
         start_s = belief.away[r, c] if origin == NONE else model.travel_s[origin, c]
-        ahead_s = robot.reach_s - belief.clock[0] + model.travel_s[place, c]
+        ahead_s = robot.reach_s - belief.clock[0] + model.travel_s[robot.rows + place, c]
         return min(ahead_s, belief.clock[0] - robot.since_s + start_s)
-    return belief.away[r, c] if place == NONE else model.travel_s[place, c]
+    return belief.away[r, c] if place == NONE else model.travel_s[robot.rows + place, c]
 
 
 @inlined
@@ -119,7 +121,7 @@ def act(model: PaperModel, belief: PaperBelief, r: int, action: int) -> None:
         robot.obj = NONE
         return
     reach_s = belief.clock[0] + distance_s(model, belief, r, container)
-    robot.origin = robot.place
+    robot.origin = NONE if robot.place == NONE else robot.rows + robot.place
     robot.since_s = belief.clock[0]
     _go(model, belief, r, container, obj, reach_s)
 
@@ -129,12 +131,12 @@ def _go(model: PaperModel, belief: PaperBelief, r: int, container: int, obj: int
     robot = belief.robots[r]
     arrive_s = reach_s
     if belief.containers[container].searched == 0:
-        arrive_s += model.search_time_s
+        arrive_s += robot.search_time_s
     robot.place = container
     robot.obj = obj
     robot.reach_s = reach_s
     robot.arrive_s = arrive_s
-    robot.done_s = arrive_s + model.interact_time_s
+    robot.done_s = arrive_s + robot.interact_time_s
 
 
 @inlined

@@ -102,7 +102,7 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
     _fetch_times(model, belief, bound)
     robots, begun = belief.robots.size, 0
     for obj in range(model.prob.shape[1]):
-        bound.rest_s[obj] += model.interact_time_s
+        bound.rest_s[obj] += model.least_interact_time_s
     for r in range(robots):
         robot = belief.robots[r]
         obj = robot.obj
@@ -120,7 +120,7 @@ def bound_s(model: PaperModel, belief: PaperBelief, bound: Bound) -> float:
                 slowest_s = max(slowest_s, bound.rest_s[obj])
                 if (begun >> obj) & 1 == 0:
                     count += 1
-        best_s = min(best_s, max(slowest_s, (count + robots - 1) // robots * model.interact_time_s))
+        best_s = min(best_s, max(slowest_s, (count + robots - 1) // robots * model.least_interact_time_s))
     return best_s if best_s < np.inf else model.penalty_s
 
 
@@ -152,6 +152,7 @@ def _reveal_rest(belief: PaperBelief, rollouts: Rollouts, rng: UInt64s) -> None:
                     found |= 1 << o
                 world.nowhere[o] = min(world.nowhere[o] / (1.0 - prob), 1.0)
     world.state[team.FOUND] = found
+    world.state[team.SEEN] = found
 
 
 @inlined
@@ -164,7 +165,8 @@ def _place_robots(belief: PaperBelief, rollouts: Rollouts) -> None:
         place, obj = ours.place, ours.obj
         theirs.mode, theirs.place, theirs.undecided = team.FREE, place, ours.undecided
         theirs.want, theirs.doing, theirs.until_s = NONE, NONE, np.inf
-        theirs.since_s, theirs.origin = ours.since_s, place
+        theirs.since_s = ours.since_s
+        theirs.origin = NONE if place == NONE else theirs.rows + place
         if ours.under_way:
             theirs.mode, theirs.until_s, theirs.origin = team.MOVING, ours.reach_s, ours.origin
         elif obj != NONE:

@@ -8,16 +8,17 @@ from mrtask.arrays import Floats, Ints
 from mrtask.planning.greedy import LATER_WEIGHT, policy
 from mrtask.planning.paper import belief_kernel as kernel
 from mrtask.planning.paper.leaf_kernel import Bound, Rollouts
-from mrtask.planning.problem import ANY_SAFE, PlanningProblem, needed
+from mrtask.planning.problem import ANY_SAFE, PlanningProblem, RobotKind, needed
 from mrtask.planning.shared_kernel import AUTOMATON, NONE
 from mrtask.planning.team_model import (
     blank_records,
     blank_world,
+    kind_fields,
     masks,
-    obtainable,
     state_records,
     stuck_penalty_s,
     team_model,
+    ways_s,
 )
 from mrtask.tasks.automaton import Automaton
 
@@ -34,22 +35,26 @@ def paper_model(
     """Return the data that do not change while planning; for the options see `PaperOptions`.
 
     Raises:
-        ValueError: the task has more objects than the kernel's bit masks hold.
+        ValueError: the task has more objects than the kernel's bit masks hold, or a robot cannot touch all of them.
     """
+    if not problem.handles.all():
+        raise ValueError(
+            "pouct_paper knows robots that differ in their speed, times and ways, not in what they can touch; leave "
+            "out `handles`, or the planner"
+        )
     objects = problem.presence_prob.shape[1]
     if objects > MAX_OBJECTS:
         raise ValueError(f"pouct_paper handles tasks of up to {MAX_OBJECTS} objects, this one has {objects}")
     automaton = problem.automaton
     prob = _search_prob(problem, round_decimals)
     return kernel.PaperModel(
-        travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
+        travel_s=ways_s(problem),
         prob=prob,
         possible=masks(prob > 0),
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton, obtainable(problem)),
+        states=state_records(automaton, problem.obtainable()),
         sufficient=sufficient_sets(automaton),
-        search_time_s=float(problem.search_time_s),
-        interact_time_s=float(problem.interact_time_s),
+        least_interact_time_s=min(problem.kinds[robot.kind].interact_time_s for robot in problem.robots),
         penalty_s=stuck_penalty_s(problem),
         exists=exists,
         redirect=redirect,
@@ -71,19 +76,21 @@ def root_belief(problem: PlanningProblem, model: kernel.PaperModel) -> kernel.Pa
     root.state[kernel.LOCATED] = masks(problem.found()[None])[0]
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
-        record.place = record.origin = robot.place
+        kind = problem.kinds[robot.kind]
+        record.place = robot.place
+        record.origin = NONE if robot.place < 0 else record.rows + robot.place
         if robot.free:
             record.undecided = 1
         elif robot.target >= 0:
-            searching_s = 0.0 if problem.searched[robot.target] else problem.search_time_s
-            _put(record, robot.target, robot.interaction, robot.remaining_s + searching_s, problem)
+            searching_s = 0.0 if problem.searched[robot.target] else kind.search_time_s
+            _put(record, robot.target, robot.interaction, robot.remaining_s + searching_s, problem, kind)
             record.reach_s, record.origin = robot.remaining_s, NONE
             if model.redirect and problem.may_redirect:
                 record.obj, record.undecided, record.under_way = NONE, 1, 1
         elif robot.interacting >= 0:
-            _put(record, robot.place, robot.interacting, robot.remaining_s - problem.interact_time_s, problem)
+            _put(record, robot.place, robot.interacting, robot.remaining_s - kind.interact_time_s, problem, kind)
         else:
-            _put(record, robot.place, robot.interaction, robot.remaining_s, problem)
+            _put(record, robot.place, robot.interaction, robot.remaining_s, problem, kind)
     return root
 
 
@@ -98,7 +105,7 @@ def blank_belief(problem: PlanningProblem) -> kernel.PaperBelief:
         state=np.zeros(3, dtype=np.int64),
         containers=blank_records(containers, kernel.CONTAINER),
         nowhere=np.ones(objects),
-        robots=blank_records(robots, kernel.ROBOT, place=NONE, obj=NONE, origin=NONE),
+        robots=blank_records(robots, kernel.ROBOT, place=NONE, obj=NONE, origin=NONE, **kind_fields(problem)),
         away=np.array([robot.travel_s for robot in problem.robots], dtype=np.float64),
     )
 
@@ -125,8 +132,7 @@ def _search_prob(problem: PlanningProblem, round_decimals: int | None) -> Floats
 
     An object whose likelihoods are all 0 is looked for nevertheless.
     """
-    reachable = np.isfinite([robot.travel_s for robot in problem.robots]).any(axis=0)
-    unsearched = ~problem.searched & reachable
+    unsearched = ~problem.searched & problem.reach.any(axis=0)
     prob = np.where(unsearched[:, None], problem.presence_prob, 0.0)
     if round_decimals is not None:
         prob = np.where(prob > 0.0, np.maximum(prob.round(round_decimals), MIN_PROB), 0.0)
@@ -161,7 +167,7 @@ def sufficient_sets(automaton: Automaton) -> Ints:
     return table
 
 
-def _put(record: Any, place: int, obj: int, arrive_s: float, problem: PlanningProblem) -> None:
+def _put(record: Any, place: int, obj: int, arrive_s: float, problem: PlanningProblem, kind: RobotKind) -> None:
     """Set a robot's action under way.
 
     An action of another planner may name no object; it counts as one for the first needed object.
@@ -169,4 +175,4 @@ def _put(record: Any, place: int, obj: int, arrive_s: float, problem: PlanningPr
     record.place = place
     record.obj = obj if obj != ANY_SAFE else int(np.argmax(needed(problem.automaton)[problem.state]))
     record.arrive_s = arrive_s
-    record.done_s = arrive_s + problem.interact_time_s
+    record.done_s = arrive_s + kind.interact_time_s

@@ -37,7 +37,7 @@ def trial_of(home, home_map, robots=2, objects=OBJECTS):
         trial_id="small-2-000",
         home_id=home.id,
         size_class=home.size_class,
-        team=Team(robots, RobotSpec(1.0, 1.0, 0.5)),
+        team=Team.alike(robots, RobotSpec(1.0, 1.0, 0.5)),
         template="seq2",
         formula=make_formula("seq2", objects),
         objects=objects,
