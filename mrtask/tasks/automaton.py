@@ -1,13 +1,14 @@
 """The minimal automaton of a task: which interactions advance it, which spoil it, and when it is done.
 
-A run's word has one letter per completed interaction. A state accepts if every continuation satisfies the formula,
-whatever happens later: any infinite sequence of letters, each an interaction with one of the propositions or with *none
-of them* (another object, or nothing ever again). The latter matters: a team that can interact with nothing but ``a``
-has not done ``F a`` before it has done ``a``. Formulas are read over infinite words, so ``X true`` is ``true``.
+A run's word has one letter per completed act: the set of the propositions that the act makes true. An interaction with
+an object makes one proposition true. A state accepts if every continuation satisfies the formula, whatever happens
+later: any infinite sequence of letters, each one that can occur or *none of them* (another object, or nothing ever
+again). The latter matters: a team that can interact with nothing but ``a`` has not done ``F a`` before it has done
+``a``. Formulas are read over infinite words, so ``X true`` is ``true``.
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,27 +16,31 @@ import numpy as np
 
 from mrtask.arrays import Bools, Int32s
 from mrtask.tasks.formula import Formula, FormulaError, check_names, parse, proposition_names, push_negations
-from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, State
+from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Letter, Progression, State
 
 MAX_STATES = 10_000
 NEVER_ACCEPTS = 2**30
 """The sink's entry in ``steps_to_accept``. It is larger than any number of letters, and two of them still fit in
 int32."""
+NONE_OF_THEM: Letter = frozenset()
 _ROWS_PER_BLOCK = 256
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
-    """A task's deterministic automaton (legend: Z states, O propositions), minimal over sequences of the propositions.
+    """A task's deterministic automaton (legend: Z states, L letters), minimal over sequences of the letters.
 
     Every letter of an accepting state leads back to it, so there is at most one. ``initial == sink`` for a formula that
-    no sequence of the propositions can satisfy. States are numbered breadth first, in the order of the propositions.
+    no sequence of the letters can satisfy. States are numbered breadth first, in the order of the letters.
     """
 
     formula: str
     propositions: tuple[str, ...]
+    letters: tuple[Letter, ...]
+    """The ``L`` letters that can occur. Those of a task that is about interactions alone are its propositions, one
+    each, in the same order."""
     transitions: Int32s
-    """``[Z, O]``: the state after the interaction."""
+    """``[Z, L]``: the state after the letter."""
     accepting: Bools
     """``[Z]``"""
     sink: int
@@ -44,7 +49,7 @@ class Automaton:
 
     @cached_property
     def advancing(self) -> Bools:
-        """Return ``[Z, O]``, W(z): the propositions that lead to another state from which acceptance can be reached."""
+        """Return ``[Z, L]``, W(z): the letters that lead to another state from which acceptance can be reached."""
         itself = np.arange(len(self.transitions))[:, None]
         advancing: Bools = (self.transitions != itself) & (self.transitions != self.sink)
         return advancing
@@ -55,7 +60,7 @@ class Automaton:
         return _steps_to_accept(self.transitions, self.accepting)
 
     def steps_with(self, available: Bools) -> Int32s:
-        """Return ``[Z]``: like ``steps_to_accept``, but only with letters of the ``available`` ``[O]`` propositions."""
+        """Return ``[Z]``: like ``steps_to_accept``, but only with the ``available`` letters ``[L]``."""
         return _steps_to_accept(self.transitions[:, available], self.accepting)
 
     @cached_property
@@ -79,17 +84,23 @@ class Automaton:
                 shrunk |= len(ones) < pairs_before
         return includes
 
-    def run(self, letters: Iterable[str], start: int | None = None) -> int:
-        """Return the state after a sequence of interactions from ``start`` (by default the initial state).
+    def run(self, word: Iterable[str | Letter], start: int | None = None) -> int:
+        """Return the state after a sequence of letters from ``start`` (by default the initial state).
+
+        Args:
+            word: Each letter as a set, or as the name of the one proposition in it.
+            start: The state before the first letter.
 
         Raises:
-            ValueError: A letter is not one of the propositions.
+            ValueError: A letter cannot occur in this task.
         """
         state = self.initial if start is None else start
-        for letter in letters:
-            if letter not in self.propositions:
-                raise ValueError(f"no proposition {letter!r} in this task; it has: {', '.join(self.propositions)}")
-            state = int(self.transitions[state, self.propositions.index(letter)])
+        for one in word:
+            letter = frozenset([one]) if isinstance(one, str) else one
+            if letter not in self.letters:
+                can_occur = ", ".join(map(letter_text, self.letters))
+                raise ValueError(f"no letter {letter_text(letter)!r} in this task; it has: {can_occur}")
+            state = int(self.transitions[state, self.letters.index(letter)])
         return state
 
     def to_dot(self) -> str:
@@ -105,34 +116,54 @@ class Automaton:
         lines.append(f"  start -> {self.initial};")
         for state, successors in enumerate(self.transitions):
             for successor in dict.fromkeys(successors.tolist()):
-                names = [name for name, to in zip(self.propositions, successors, strict=True) if to == successor]
+                names = [letter_text(one) for one, to in zip(self.letters, successors, strict=True) if to == successor]
                 lines.append(f"  {state} -> {successor} [label={_dot_text(', '.join(names))}];")
         return "\n".join([*lines, "}"]) + "\n"
 
 
+def letter_text(letter: Letter) -> str:
+    """Return a letter as people read it: ``Mug``, or ``Mug + Cup`` where both hold."""
+    return " + ".join(sorted(letter)) or "none"
+
+
 def build_automaton(
-    formula: str, propositions: Collection[str] | None = None, max_states: int = MAX_STATES
+    formula: str,
+    propositions: Collection[str] | None = None,
+    letters: Sequence[Letter] | None = None,
+    max_states: int = MAX_STATES,
 ) -> Automaton:
     """Build the minimal automaton of a co-safe formula.
 
     Args:
         formula: The task; see ``mrtask.tasks.formula`` for the grammar.
-        propositions: The objects a run can interact with, in the order of the automaton's columns (a set is sorted);
-            ``None`` takes the formula's, in order of appearance.
+        propositions: What can hold in a letter, such as the objects a run can interact with (a set is sorted); ``None``
+            takes the formula's, in order of appearance.
+        letters: The letters that can occur, in the order of the automaton's columns; ``None`` takes one for each
+            proposition, in their order, which is right for tasks that are about interactions alone.
         max_states: The most states to explore before minimisation.
 
     Raises:
         FormulaError: The formula has a syntax error, an unknown object, or is not co-safe.
         FormulaTooLargeError: There are more than ``max_states`` states, or they are larger than progression handles.
-        ValueError: An object's name cannot be used in formulas.
+        ValueError: An object's name cannot be used in formulas, or a letter holds what is no proposition.
     """
     if max_states < 1:
         raise ValueError(f"max_states must be at least 1, not {max_states}")
     declared = None if propositions is None else check_names(propositions)
     parsed = parse(formula, declared)
-    letters = proposition_names(parsed)
+    named = proposition_names(parsed)
+    names = named if declared is None else declared
+    columns = tuple(frozenset([name]) for name in names) if letters is None else tuple(letters)
+    if strange := frozenset[str]().union(*columns) - frozenset(names):
+        raise ValueError(f"a letter holds {letter_text(strange)}, but the propositions are: {', '.join(names)}")
+    # The formula tells letters apart by what it names, and nothing else needs exploring.
+    told = [column & frozenset(named) for column in columns]
+    appearance = {name: index for index, name in enumerate(named)}
+    explored = sorted({*told} - {NONE_OF_THEM}, key=lambda letter: sorted(appearance[name] for name in letter))
+    explored.append(NONE_OF_THEM)
+    column_of = {letter: index for index, letter in enumerate(explored)}
     try:
-        graph, accepting = _explore(parsed, letters, max_states)
+        graph, accepting = _explore(parsed, explored, max_states)
     except FormulaTooLargeError as error:
         message = f"the automaton of {formula!r} is too large: {error}; simplify the formula"
         raise FormulaTooLargeError(message) from None
@@ -141,13 +172,12 @@ def build_automaton(
             f"the automaton of {formula!r} is too large: it has more than max_states={max_states} states before "
             "minimisation; simplify the formula or raise max_states"
         ) from None
-    names = letters if declared is None else declared
-    columns = [letters.index(name) if name in letters else len(letters) for name in names]
-    transitions, accepting = _minimised(graph[:, columns], accepting)
+    transitions, accepting = _minimised(graph[:, [column_of[letter] for letter in told]], accepting)
     doomed = np.flatnonzero(_steps_to_accept(transitions, accepting) == NEVER_ACCEPTS)
     return Automaton(
         formula=formula,
         propositions=names,
+        letters=columns,
         transitions=transitions,
         accepting=accepting,
         sink=int(doomed[0]) if len(doomed) else -1,
@@ -185,11 +215,10 @@ class _TooManyStatesError(Exception):
     """Exploration found more states than allowed."""
 
 
-def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tuple[Int32s, Bools]:
+def _explore(formula: Formula, letters: Sequence[Letter], max_states: int) -> tuple[Int32s, Bools]:
     """Return the S states that progression reaches, starting with the formula itself.
 
-    These are the successors ``[S, len(letters) + 1]`` after each letter and, in the last column, after none of them;
-    and whether each state accepts ``[S]``.
+    These are the successors ``[S, len(letters)]`` after each letter, and whether each state accepts ``[S]``.
     """
     progression = Progression()
     numbers: dict[State, int] = {}
@@ -207,7 +236,7 @@ def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tup
     rows = []
     while queue:
         state = queue.popleft()
-        rows.append([number(progression.after(state, letter)) for letter in (*letters, None)])
+        rows.append([number(progression.after(state, letter)) for letter in letters])
     graph = np.array(rows, dtype=np.int32)
 
     # A formula that is certain to be satisfied is true after a bounded number of letters, whichever they are
@@ -221,7 +250,7 @@ def _explore(formula: Formula, letters: tuple[str, ...], max_states: int) -> tup
 
 
 def _minimised(graph: Int32s, accepting: Bools) -> tuple[Int32s, Bools]:
-    """Apply Moore's partition refinement to the graph ``[S, O]``.
+    """Apply Moore's partition refinement to the graph ``[S, L]``.
 
     Return the blocks that state 0 reaches, breadth first.
     """

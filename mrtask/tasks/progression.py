@@ -1,5 +1,6 @@
 """Formula progression: what remains of a co-safe formula after a letter (Bacchus and Kabanza, 2000).
 
+A letter is the set of the propositions that hold in it; the empty one is anything that makes none of them true.
 The rest is a positive Boolean function of *atoms*: propositions, negated propositions, ``X`` and ``U`` formulas. It is
 kept as a reduced ordered binary decision diagram (Bryant, 1986) over the atoms in order of appearance. Equal functions
 are one node, whose successors are computed once however many states contain it. Wide alternations such as ``((F a | F
@@ -12,6 +13,8 @@ from typing import NamedTuple
 from mrtask.errors import InputError
 from mrtask.tasks.formula import And, Constant, Formula, Next, Not, Or, Proposition, Until
 
+Letter = frozenset[str]
+"""The names of the propositions that hold."""
 State = int
 """A node's index."""
 FALSE: State = 0
@@ -46,8 +49,8 @@ class Progression:
         self._nodes = [_Node(MAX_ATOMS, FALSE, FALSE), _Node(MAX_ATOMS, TRUE, TRUE)]
         self._node_index: dict[_Node, State] = {}
         self._chosen: dict[tuple[State, State, State], State] = {}
-        self._after: dict[str | None, dict[State, State]] = {}
-        self._atom_after: dict[tuple[int, str | None], State] = {}
+        self._after: dict[Letter, dict[State, State]] = {}
+        self._atom_after: dict[tuple[int, Letter], State] = {}
 
     def state(self, formula: Formula) -> State:
         """Return the state in which ``formula`` remains.
@@ -65,8 +68,8 @@ class Progression:
             case _:
                 return self._node(_Node(self._atom(formula), TRUE, FALSE))
 
-    def after(self, state: State, letter: str | None) -> State:
-        """Return the state after one more letter: an interaction, or ``None`` for anything but the formula's objects.
+    def after(self, state: State, letter: Letter) -> State:
+        """Return the state after one more letter.
 
         Raises:
             FormulaTooLargeError: There are more than ``MAX_NODES`` nodes.
@@ -86,12 +89,12 @@ class Progression:
             after[index] = self._choose(self._atom_after[atom, letter], after[high], after[low])
         return after[state]
 
-    def _formula_after(self, formula: Formula, letter: str | None) -> State:
+    def _formula_after(self, formula: Formula, letter: Letter) -> State:
         match formula:
             case Constant(value):
                 return TRUE if value else FALSE
             case Proposition(name):
-                return TRUE if name == letter else FALSE
+                return TRUE if name in letter else FALSE
             case Not(operand):
                 return FALSE if self._formula_after(operand, letter) else TRUE
             case And(operands):

@@ -1,7 +1,8 @@
 """LTL by its textbook definition, to check the product against; it shares no code with it.
 
 A formula is a nested tuple such as ``("U", ("!", "b"), "a")``; a string is a proposition, ``True`` and ``False`` are
-the constants. A letter is the name of the one proposition that holds, or ``None`` when none does.
+the constants. A letter is the name of the one proposition that holds, ``None`` when none does, or the set of those that
+hold.
 """
 
 from itertools import product
@@ -18,7 +19,8 @@ def holds(formula, stem, loop, at=0):
     if isinstance(formula, bool):
         return formula
     if isinstance(formula, str):
-        return (*stem, *loop)[at] == formula
+        letter = (*stem, *loop)[at]
+        return formula in letter if isinstance(letter, frozenset) else formula == letter
     match formula:
         case ("!", one):
             return not holds(one, stem, loop, at)
@@ -42,10 +44,10 @@ def holds(formula, stem, loop, at=0):
     raise ValueError(formula)
 
 
-def is_good_prefix(formula, word, propositions, stem_length=2):
+def is_good_prefix(formula, word, letters, stem_length=2):
     """Whether every continuation of the word satisfies the formula, tried with every stem up to that length and every
     loop of one letter, with an interaction with no proposition, or none at all, as a letter too."""
-    letters = (None, *propositions)
+    letters = (None, *letters)
     return all(
         holds(formula, (*word, *stem), loop)
         for length in range(stem_length + 1)
@@ -54,23 +56,23 @@ def is_good_prefix(formula, word, propositions, stem_length=2):
     )
 
 
-def shortest_good_prefix(formula, word, propositions, stem_length=2):
+def shortest_good_prefix(formula, word, letters, stem_length=2):
     """The length of the word's shortest prefix that completes the task, ``None`` if none does."""
     for length in range(len(word) + 1):
-        if is_good_prefix(formula, word[:length], propositions, stem_length):
+        if is_good_prefix(formula, word[:length], letters, stem_length):
             return length
     return None
 
 
-def words(propositions, longest):
-    return [word for length in range(longest + 1) for word in product(propositions, repeat=length)]
+def words(letters, longest):
+    return [word for length in range(longest + 1) for word in product(letters, repeat=length)]
 
 
-def good_words(formula, propositions, longest, stem_length=2):
+def good_words(formula, letters, longest, stem_length=2):
     """All words up to that length that complete the task; a word does when one of its prefixes does."""
     good = set()
-    for word in words(propositions, longest):
-        if word[:-1] in good or is_good_prefix(formula, word, propositions, stem_length):
+    for word in words(letters, longest):
+        if word[:-1] in good or is_good_prefix(formula, word, letters, stem_length):
             good.add(word)
     return good
 

@@ -53,10 +53,8 @@ def random_tasks(depth):
     return st.one_of(conjunctions, conjunctions, random_formulas(depth))
 
 
-def accepted_words(automaton, longest, start=None):
-    return {
-        word for word in words(automaton.propositions, longest) if automaton.accepting[automaton.run(word, start=start)]
-    }
+def accepted_words(automaton, longest, start=None, letters=LETTERS):
+    return {word for word in words(letters, longest) if automaton.accepting[automaton.run(word, start=start)]}
 
 
 @settings(RANDOM, max_examples=100)
@@ -67,6 +65,20 @@ def accepted_words(automaton, longest, start=None):
 def test_accepts_the_good_prefixes_of_the_definition(formula, all_brackets):
     automaton = build_automaton(text_of(formula, all_brackets), LETTERS)
     assert accepted_words(automaton, 5) == good_words(formula, LETTERS, 5)
+
+
+SETS = [frozenset(part) for size in range(len(LETTERS) + 1) for part in combinations(LETTERS, size)]
+
+
+@settings(RANDOM, max_examples=60)
+@given(formula=random_tasks(3), letters=st.lists(st.sampled_from(SETS), min_size=1, max_size=4, unique=True))
+@example(formula=("F", ("&", "a", "b")), letters=[frozenset("ab"), frozenset("a")])
+@example(formula=("&", ("F", ("&", "a", ("X", "b"))), ("U", ("!", "c"), "b")), letters=SETS[4:])
+def test_accepts_the_good_prefixes_over_letters_that_are_sets(formula, letters):
+    automaton = build_automaton(text_of(formula), LETTERS, letters)
+    assert automaton.letters == tuple(letters)
+    assert automaton.transitions.shape == (len(automaton.accepting), len(letters))
+    assert accepted_words(automaton, 4, letters=letters) == good_words(formula, letters, 4)
 
 
 def spot_automaton(formula):
@@ -200,6 +212,28 @@ def test_columns_are_the_propositions_in_their_order():
     assert automaton.accepting.dtype == automaton.advancing.dtype == automaton.includes.dtype == np.bool_
 
 
+def test_letters_are_the_propositions_one_each_unless_they_are_given():
+    singles = tuple(frozenset([name]) for name in "cab")
+    automaton = build_automaton("(!b U a) & F b", list("cab"))
+    assert automaton.letters == singles
+    same = build_automaton("(!b U a) & F b", list("cab"), singles)
+    assert (same.transitions == automaton.transitions).all() and (same.accepting == automaton.accepting).all()
+
+
+def test_a_letter_may_hold_several_propositions_and_only_letters_that_can_occur_have_columns():
+    both, first = frozenset({"a", "b"}), frozenset({"a"})
+    automaton = build_automaton("F (a & !b & X F b)", ["a", "b"], [both, first])
+    assert automaton.transitions.tolist() == [[0, 1], [2, 1], [2, 2]]
+    assert automaton.steps_to_accept.tolist() == [2, 1, 0]
+    assert automaton.run([both, first, both]) == 2 and automaton.run(["a"]) == 1
+    assert '1 -> 2 [label="a + b"]' in automaton.to_dot()
+    assert build_automaton("F b", ["a", "b"], [first]).sink == 0
+    with pytest.raises(ValueError, match="no letter 'b' in this task; it has: a \\+ b, a"):
+        automaton.run(["b"])
+    with pytest.raises(ValueError, match="a letter holds b \\+ c, but the propositions are: a"):
+        build_automaton("F a", letters=[frozenset({"a", "b", "c"})])
+
+
 def test_advancing_is_wider_than_coming_nearer():
     automaton = build_automaton("F a & (F b | (F c & F d))", list("abcd"))
     assert automaton.advancing[automaton.initial].tolist() == [True, True, True, True]
@@ -264,8 +298,8 @@ def test_hundreds_of_different_parts_are_handled_and_too_many_refused():
     even, odd = (" | ".join(f"F o{number}" for number in range(first, MAX_ATOMS, 2)) for first in (0, 1))
     progression = Progression()
     state = progression.state(push_negations(parse(f"({even}) & ({odd})")))
-    assert progression.after(state, None) == state
-    assert progression.after(progression.after(state, "o7"), "o8") == TRUE
+    assert progression.after(state, frozenset()) == state
+    assert progression.after(progression.after(state, frozenset({"o7"})), frozenset({"o8"})) == TRUE
     with pytest.raises(ValueError, match="too large: it has more than 500 different parts; simplify the formula"):
         build_automaton(f"({even}) & ({odd}) & F o500")
 
@@ -283,7 +317,7 @@ def test_bad_formulas_and_names_are_refused():
         build_automaton("F a & G b")
     with pytest.raises(ValueError, match=r"the name 'Spray.Bottle' holds"):
         build_automaton("F a", ["a", 'Spray"Bottle'])
-    with pytest.raises(ValueError, match="no proposition 'd' in this task; it has: a, b"):
+    with pytest.raises(ValueError, match="no letter 'd' in this task; it has: a, b"):
         build_automaton("F a & F b").run(["a", "d"])
 
 
