@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home, draw_scan
-from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.home import ALL_SIZE_CLASSES, Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.names import counted
 from pipeline.base import console
@@ -56,7 +56,9 @@ def draw_side_by_side(sources: Mapping[str, HomeFiles], maps: MapOptions, target
 def _examples(source: HomeFiles, maps: MapOptions) -> Sequence[tuple[Home, HomeMap]]:
     """Return the first few homes of each size class, each of another layout, with their maps."""
     layouts = distinct_layouts(source.read())
-    chosen = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    chosen = [
+        home for name in ALL_SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]
+    ]
     return [(home, maps.map_of(home)) for home in chosen]
 
 

@@ -14,7 +14,7 @@ from matplotlib.path import Path
 from shapely import MultiLineString, get_coordinates, get_parts, line_merge, maximum_inscribed_circle, union_all
 from shapely.geometry import Polygon as ShapelyPolygon
 
-from mrtask.homes.home import SIZE_CLASSES, Home, Point, Polygon, Room
+from mrtask.homes.home import ALL_SIZE_CLASSES, Home, Point, Polygon, Room
 from mrtask.maps.home_map import HomeMap
 from mrtask.maps.ros_map import CellKind, ScannedFloor
 from mrtask.names import counted
@@ -24,6 +24,8 @@ ROOM_COLORS: Mapping[str, str] = {
     "Bedroom": "#ece4f1",
     "Kitchen": "#f8ead6",
     "LivingRoom": "#e4eedd",
+    "CommonKitchen": "#f3d9b4",
+    "Laundry": "#c3dce8",
 }
 OTHER_ROOM_COLOR = "#eeeeee"
 FULL_COLOR, EMPTY_COLOR, OBSTACLE_COLOR = "#c98a4b", "#eadbc8", "#b9bdc1"
@@ -123,7 +125,9 @@ def draw_scan(scan: ScannedFloor, ax: Axes) -> None:
 def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figure:
     """Homes side by side: a block of columns for each title, a row for each size class."""
     rows = [
-        name for name in SIZE_CLASSES if any(home.size_class == name for block in columns.values() for home, _ in block)
+        name
+        for name in ALL_SIZE_CLASSES
+        if any(home.size_class == name for block in columns.values() for home, _ in block)
     ]
     widths = [max(sum(home.size_class == name for home, _ in block) for name in rows) for block in columns.values()]
     figure = Figure(figsize=(GALLERY_CELL_IN * sum(widths), GALLERY_CELL_IN * len(rows)), layout="constrained")
