@@ -9,7 +9,12 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from mrtask.execution import perception
-from mrtask.homes.generator.residence_size import ResidenceSize
+from mrtask.homes.generator.residence_size import (
+    CONTAINERS_ALLOWED,
+    FLATS_ALLOWED,
+    MAX_FLATS_PER_SIDE,
+    ResidenceSize,
+)
 from mrtask.tasks.templates import TEMPLATES
 from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed, spelled
 
@@ -72,9 +77,9 @@ class ResidenceHomes(_HomesToEvaluateOn):
 
     source: Literal["residence"]
     residences: Positive
-    containers: int
-    flats: int | None
-    flats_per_side: Positive | None
+    containers: int = Field(ge=CONTAINERS_ALLOWED[0], le=CONTAINERS_ALLOWED[1])
+    flats: Annotated[int, Field(ge=FLATS_ALLOWED[0], le=FLATS_ALLOWED[1])] | None
+    flats_per_side: Annotated[int, Field(ge=1, le=MAX_FLATS_PER_SIDE)] | None
     join: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), AfterValidator(distinct)]
     assets: LocalPath | None
 
