@@ -1,12 +1,19 @@
 """Residences, and sites of one's own homes, as the homes that planners are evaluated on."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pandas as pd
+import pytest
 
 from mrtask.homes.generator.house import generate_house, write_houses
 from mrtask.homes.generator.site import id_in_flat
+from mrtask.homes.home import Home
 from mrtask.homes.procthor import parse_house, read_houses
+from mrtask.maps.home_map import map_bytes
+from pipeline.base.specs import MapOptions
+from pipeline.episodes import worker
 from pipeline.inputs.homes import RESIDENCES_FILE
 from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
@@ -53,8 +60,11 @@ def test_a_residence_leaves_no_size_class_to_choose() -> None:
     assert configured().evaluation_spec().options.size_classes == ("small", "medium", "large")
 
 
-def test_impossible_residences_are_refused_before_any_work(cli: Cli) -> None:
-    refused = cli("homes", "homes=residence", "homes.containers=20")
-    assert refused.code == 2 and "homes.containers=20: must be at least 50" in refused.err
-    refused = cli("homes", "homes=residence", "homes.flats=40", "homes.flats_per_side=2")
-    assert refused.code == 2 and "flats_per_side = 2 makes 10 floors of 40 flats" in refused.err
+def test_workers_keep_fewer_maps_where_they_are_large(
+    two_room_home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context: Any = SimpleNamespace(homes=(two_room_home,), maps=MapOptions(configured().map, tmp_path))
+    one = map_bytes(two_room_home, context.maps.grid.resolution_m)
+    for room_for, kept in ((2**31, worker.MAPS_KEPT), (3 * one, 3), (1, 1)):
+        monkeypatch.setattr(worker, "MAPS_KEPT_BYTES", room_for)
+        assert worker.Bench(context).map_of.cache_parameters()["maxsize"] == kept
