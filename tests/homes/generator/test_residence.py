@@ -1,6 +1,7 @@
 """Residences: flats of the generator along corridors, and a user's own homes joined to one site."""
 
 import json
+import math
 import re
 from dataclasses import replace
 from functools import cache
@@ -163,3 +164,18 @@ def test_a_site_wider_than_a_home_may_be_is_refused():
 )
 def test_ids_name_the_flat(name, in_flat):
     assert id_in_flat(name, 3) == in_flat
+
+
+def test_furniture_turns_with_its_home():
+    site, turned = join_homes(own_homes()), set()
+    for number, (house, _) in enumerate(own_homes(), start=1):
+        after = {one["id"]: one for one in site["objects"]}
+        pairs = [(one, after[id_in_flat(one["id"], number)]) for one in house["objects"][:2]]
+        before_deg, after_deg = (
+            math.degrees(math.atan2(b["position"]["x"] - a["position"]["x"], b["position"]["z"] - a["position"]["z"]))
+            for a, b in zip(*pairs, strict=True)
+        )
+        turn_deg = (pairs[0][1]["rotation"]["y"] - pairs[0][0]["rotation"]["y"]) % 360
+        assert (after_deg - before_deg - turn_deg + 180) % 360 == pytest.approx(180)
+        turned.add(turn_deg)
+    assert turned & {90, 270}, "a turn by 180 degrees looks the same in both directions"
