@@ -2,8 +2,8 @@
 
 Generated homes go to ``<datasets_dir>/generated`` in ProcTHOR's own schema and are read like anybody's. Homes of your
 own: homes=procthor homes.files=[a.jsonl.gz,...] homes.assets=asset-database.json. A scanned floor: homes=ros_map
-homes.map=lab.yaml homes.containers=containers.yaml. draw=true draws floor plans. homes.contents=housekeep refurnishes
-any of them with what people put where.
+homes.map=lab.yaml homes.containers=containers.yaml. Many flats along corridors: homes=residence. draw=true draws floor
+plans. homes.contents=housekeep refurnishes any of them with what people put where.
 """
 
 from pipeline.app.main import main

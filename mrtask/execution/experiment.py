@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mrtask.execution.episode import EpisodeResult, run_episode
 from mrtask.execution.trials import Trial, TrialOptions, check_formula, home_order, sample_trial
-from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.home import ALL_SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
@@ -75,7 +75,7 @@ def run_experiment(
     known = {home.id: home for home in homes}
     table = build_table(likelihood, homes, options.formula_objects if options else ())
     map_of = lru_cache(maxsize=None)(lambda home_id: cached_map(known[home_id], cache_dir))
-    sizes = [name for name in SIZE_CLASSES if any(home.size_class == name for home in homes)]
+    sizes = [name for name in ALL_SIZE_CLASSES if any(home.size_class == name for home in homes)]
     cells = [(size, team) for size in sizes for team in teams]
     orders = {cell: home_order(homes, *cell, seed) for cell in cells}
     rows: list[dict[str, Any]] = []

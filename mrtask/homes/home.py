@@ -18,6 +18,11 @@ Polygon = tuple[Point, ...]
 SIZE_CLASSES = ("small", "medium", "large")
 SMALL_BELOW_M2 = 60.0
 LARGE_ABOVE_M2 = 110.0
+CORRIDOR, LIFT_LOBBY = "Corridor", "LiftLobby"
+"""The types of the rooms that join the flats of a residence."""
+RESIDENCE = "residence"
+ALL_SIZE_CLASSES = (*SIZE_CLASSES, RESIDENCE)
+"""The classes of single homes, small to large, and that of many homes along corridors."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +103,13 @@ class Home:
 
     @property
     def size_class(self) -> str:
-        """Return ``small`` below 60 m2, ``large`` above 110 m2, else ``medium``."""
-        return size_class_of(self.area_m2)
+        """Return ``small`` below 60 m2, ``large`` above 110 m2, else ``medium``.
+
+        A home of more than 110 m2 with a corridor and a lift lobby is a ``residence``.
+        """
+        by_area = size_class_of(self.area_m2)
+        is_residence = by_area == "large" and {CORRIDOR, LIFT_LOBBY} <= {room.type for room in self.rooms}
+        return RESIDENCE if is_residence else by_area
 
     @cached_property
     def room_types(self) -> dict[str, str]:
@@ -112,7 +122,7 @@ class Home:
 
 
 def size_class_of(area_m2: float) -> str:
-    """Return the size class of a floor area."""
+    """Return the size class of a single home with this floor area."""
     if area_m2 < SMALL_BELOW_M2:
         return "small"
     return "large" if area_m2 > LARGE_ABOVE_M2 else "medium"

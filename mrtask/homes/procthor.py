@@ -151,6 +151,15 @@ def read_houses(
     A faulty house raises `HouseError`; with ``on_error``, it is passed to that function and left out. A file that
     cannot be read to its end (missing, truncated) raises in either case.
     """
+    return (home for _, home in read_with_json(files, assets_path, on_error))
+
+
+def read_with_json(
+    files: Iterable[Path | str],
+    assets_path: Path | str | None = None,
+    on_error: Callable[[HouseError], None] | None = None,
+) -> Iterator[tuple[dict[str, Any], Home]]:
+    """Yield what `read_houses` does, each home after the JSON that it was read from."""
     paths = [Path(file) for file in files]
     for path in paths:
         if not path.is_file():
@@ -161,7 +170,8 @@ def read_houses(
         for number, line in _lines(path):
             count += 1
             try:
-                yield parse_house(_parse_json(line, path.name, number), assets, path.name, number)
+                raw: Any = _parse_json(line, path.name, number)
+                yield raw, parse_house(raw, assets, path.name, number)
             except HouseError as error:
                 if on_error is None:
                     raise

@@ -150,6 +150,12 @@ def build_map(
     return HomeMap(home.id, resolution_m, grid.origin_m, free, access, fields_m)
 
 
+def map_bytes(home: Home, resolution_m: float) -> int:
+    """Return about how much memory the distance fields of a home's map take."""
+    rows, cols = _grid_shape(home, resolution_m)
+    return len(home.containers) * rows * cols * np.dtype(np.float32).itemsize
+
+
 def main_region_share(home: Home, resolution_m: float, robot_radius_m: float) -> float:
     """Return the main region's share of the cells in which a robot fits.
 
@@ -181,14 +187,22 @@ def main_region(open_cells: Bools) -> Bools:
     return np.asarray(labels == int(np.argmax(sizes)))
 
 
+def _grid_shape(home: Home, resolution_m: float) -> tuple[int, int]:
+    cols, rows = (np.ceil(np.ptp(_corner_points(home), axis=0) / resolution_m).astype(int) + 2).tolist()
+    return rows, cols
+
+
+def _corner_points(home: Home) -> Floats:
+    return np.array([point for room in home.rooms for point in room.polygon])
+
+
 def _make_grid(home: Home, resolution_m: float) -> _Grid:
-    points = np.array([point for room in home.rooms for point in room.polygon])
-    low, high = points.min(axis=0), points.max(axis=0)
-    cols, rows = (np.ceil((high - low) / resolution_m).astype(int) + 2).tolist()
+    rows, cols = _grid_shape(home, resolution_m)
     if rows * cols > MAX_CELLS:
         problem = f"a grid of {rows} x {cols} cells is more than {MAX_CELLS} cells"
         raise ValueError(f"home {home.id}: {problem}; choose a coarser resolution_m")
-    return _Grid(resolution_m, (float(low[0] - resolution_m), float(low[1] - resolution_m)), (rows, cols))
+    x, y = _corner_points(home).min(axis=0).tolist()
+    return _Grid(resolution_m, (x - resolution_m, y - resolution_m), (rows, cols))
 
 
 def _inflated_obstacles(home: Home, radius_m: float) -> list[Floats]:

@@ -36,6 +36,7 @@ from pipeline.base.sections import (
     ModelKind,
     Perception,
     PlannerVariant,
+    ResidenceHomes,
     Tracking,
     Trainer,
 )
@@ -120,10 +121,16 @@ class Config(Section):
         return tuple(name for name in self.planner_variants if name not in named)
 
     def evaluation_spec(self, planners: Sequence[str] | None = None) -> EvaluationSpec:
-        """Return what to evaluate: the configured planners, or these."""
+        """Return what to evaluate: the configured planners, or these.
+
+        With homes=residence, which are of one size class, there is no other class to choose.
+        """
+        options = self.evaluation
+        if isinstance(self.homes, ResidenceHomes) and not options.homes.files:
+            options = options.model_copy(update={"size_classes": ("residence",)})
         return EvaluationSpec(
             homes=self.homes_spec,
-            options=self.evaluation,
+            options=options,
             planners=tuple(map(self.spec, self.evaluation.planners if planners is None else planners)),
             record=self.model_dump(mode="json"),
             experiment=self.experiment,

@@ -9,12 +9,18 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from mrtask.execution import perception
+from mrtask.homes.generator.residence_size import (
+    CONTAINERS_ALLOWED,
+    FLATS_ALLOWED,
+    MAX_FLATS_PER_SIDE,
+    ResidenceSize,
+)
 from mrtask.tasks.templates import TEMPLATES
 from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed, spelled
 
 MODEL_URI = "(models|runs):/.+"
 MODEL_URIS = "models:/NAME/VERSION, models:/NAME@ALIAS or runs:/RUN/model"
-SizeClass = Literal["small", "medium", "large"]
+SizeClass = Literal["small", "medium", "large", "residence"]
 HomeContents = Literal["procthor", "housekeep"]
 
 
@@ -55,11 +61,43 @@ class Procthor10kHomes(_Homes):
     skip_faulty: bool
 
 
-class RosMapHomes(_Homes):
-    """The user's own scanned floors to evaluate on; the model learns from generated homes."""
+class _HomesToEvaluateOn(_Homes):
+    """Homes that planners are evaluated on, while the model learns from generated ones."""
+
+    test: Positive
+
+    def to_learn_from(self) -> GeneratedHomes:
+        """Return the generated homes that the model learns from."""
+        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
+        return GeneratedHomes(source="generated", **shared)
+
+
+class ResidenceHomes(_HomesToEvaluateOn):
+    """Generated residences, or the user's own homes joined to one site."""
+
+    source: Literal["residence"]
+    residences: Positive
+    containers: int = Field(ge=CONTAINERS_ALLOWED[0], le=CONTAINERS_ALLOWED[1])
+    flats: Annotated[int, Field(ge=FLATS_ALLOWED[0], le=FLATS_ALLOWED[1])] | None
+    flats_per_side: Annotated[int, Field(ge=1, le=MAX_FLATS_PER_SIDE)] | None
+    join: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), AfterValidator(distinct)]
+    assets: LocalPath | None
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if not self.join:
+            self.size()
+        return self
+
+    def size(self) -> ResidenceSize:
+        """Return the size of the generated residences; raises ValueError for one that is not possible."""
+        return ResidenceSize(self.containers, self.flats, self.flats_per_side)
+
+
+class RosMapHomes(_HomesToEvaluateOn):
+    """The user's own scanned floors."""
 
     source: Literal["ros_map"]
-    test: Positive
     map: Annotated[tuple[LocalPath, ...], BeforeValidator(listed), Field(min_length=1)]
     containers: Annotated[tuple[LocalPath, ...], BeforeValidator(listed)]
     worlds: Positive
@@ -72,14 +110,9 @@ class RosMapHomes(_Homes):
             )
         return self
 
-    def to_learn_from(self) -> GeneratedHomes:
-        """Return the generated homes that the model learns from."""
-        shared = self.model_dump(include={"contents", "seed", "train", "validation", "test"})
-        return GeneratedHomes(source="generated", **shared)
-
 
 HousesInFiles = ProcthorHomes | Procthor10kHomes
-Homes = GeneratedHomes | HousesInFiles | RosMapHomes
+Homes = GeneratedHomes | HousesInFiles | ResidenceHomes | RosMapHomes
 HOME_SOURCES = tuple(get_args(kind.model_fields["source"].annotation)[0] for kind in get_args(Homes))
 
 

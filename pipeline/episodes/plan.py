@@ -240,8 +240,8 @@ def _unseen_homes(
 def _size_classes(asked: Sequence[str], homes: EvaluatedHomes) -> tuple[str, ...]:
     """Return the configured size classes; for maps, whose size is given, only those that exist."""
     counts = homes.by_size_class
-    empty = [name for name in asked if not counts[name]]
-    size_classes = tuple(name for name in asked if counts[name])
+    empty = [name for name in asked if not counts.get(name)]
+    size_classes = tuple(name for name in asked if counts.get(name))
     if empty and size_classes and homes.read_from.kind == "maps":
         console.line(f"no {' and no '.join(empty)} map: trials on {', '.join(size_classes)} only")
     elif empty:

@@ -18,11 +18,13 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
 from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
-from mrtask.maps.home_map import HomeMap
+from mrtask.maps.home_map import HomeMap, map_bytes
 from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 
 MAPS_KEPT = 8
+MAPS_KEPT_BYTES = 2 * 1024**3
+"""Of maps as large as a residence's, a worker keeps fewer, at least one."""
 TRIALS_KEPT = 64
 
 
@@ -190,7 +192,9 @@ class Bench:
     def __init__(self, context: Context) -> None:
         self._context = context
         self.homes = {home.id: home for home in context.homes}
-        self.map_of = lru_cache(maxsize=MAPS_KEPT)(lambda home_id: context.maps.map_of(self.homes[home_id]))
+        largest = max(map_bytes(home, context.maps.grid.resolution_m) for home in context.homes)
+        kept = min(MAPS_KEPT, max(MAPS_KEPT_BYTES // largest, 1))
+        self.map_of = lru_cache(maxsize=kept)(lambda home_id: context.maps.map_of(self.homes[home_id]))
         self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)
         self._order = lru_cache(maxsize=None)(
             lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed, context.home_order)

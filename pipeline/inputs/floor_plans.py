@@ -7,8 +7,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home, draw_scan
-from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.analysis.drawing.floor_plans import draw_gallery, draw_home, draw_scan, plan_figure
+from mrtask.homes.home import ALL_SIZE_CLASSES, Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.names import counted
 from pipeline.base import console
@@ -27,7 +27,7 @@ def draw(source: HomeFiles, title: str, maps: MapOptions, target: Folder) -> Non
     console.headline("drawing", counted(len(mapped), "home"))
     with console.Progress(len(mapped), "homes") as progress, tempfile.TemporaryDirectory() as temporary:
         for home, home_map in mapped:
-            figure = Figure(figsize=(8, 8), layout="constrained")
+            figure = plan_figure(home)
             draw_home(home, home_map, figure.subplots())
             _save(figure, Path(temporary), f"{home.size_class}-{home.id}", dpi=150)
             progress.update()
@@ -56,7 +56,8 @@ def draw_side_by_side(sources: Mapping[str, HomeFiles], maps: MapOptions, target
 def _examples(source: HomeFiles, maps: MapOptions) -> Sequence[tuple[Home, HomeMap]]:
     """Return the first few homes of each size class, each of another layout, with their maps."""
     layouts = distinct_layouts(source.read())
-    chosen = [home for name in SIZE_CLASSES for home in [h for h in layouts if h.size_class == name][:DRAWN_PER_CLASS]]
+    by_class = [[home for home in layouts if home.size_class == name] for name in ALL_SIZE_CLASSES]
+    chosen = [home for members in by_class for home in members[:DRAWN_PER_CLASS]]
     return [(home, maps.map_of(home)) for home in chosen]
 
 

@@ -1,15 +1,14 @@
 """Makes or reads the homes and splits them into training, validation and test homes by content."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 from mrtask.files import sha256_of
 from mrtask.homes import procthor, split
 from mrtask.homes.download import PROCTHOR_10K, DownloadError, fetch_procthor10k
-from mrtask.homes.generator import house
-from mrtask.homes.generator.house import write_houses
+from mrtask.homes.generator import house, residence, site
+from mrtask.homes.generator.house import House, write_houses
 from mrtask.homes.split import HomeSplit, split_homes
 from mrtask.likelihood.rows import SPLITS
 from mrtask.names import counted
@@ -22,12 +21,14 @@ from pipeline.base.sections import (
     HousesInFiles,
     Procthor10kHomes,
     ProcthorHomes,
+    ResidenceHomes,
     RosMapHomes,
 )
 from pipeline.base.specs import HomesSpec
 from pipeline.store import artifacts
 from pipeline.store.artifacts import NotMade
 from pipeline.store.home_files import (
+    HomeFiles,
     HouseFiles,
     MapFiles,
     check_files,
@@ -39,9 +40,10 @@ from pipeline.store.home_set import HomeSet
 from pipeline.store.records import GeneratedHousesManifest, HomesManifest
 from pipeline.store.version import code_version
 from pipeline.store.voted_contents import needs_download, say_match, voted_contents
-from pipeline.store.worker import generate_numbered
+from pipeline.store.worker import generate_numbered, generate_numbered_residence
 
 GENERATED_FILE = "generated.jsonl.gz"
+RESIDENCES_FILE = "residences.jsonl.gz"
 FAULTS_LISTED = 20
 PROCTHOR_10K_ASSETS = "asset-database.json"
 
@@ -64,8 +66,12 @@ def make(spec: HomesSpec, pool: Pool | None) -> HomeSet:
         if needs_download(spec.contents, datasets_dir):
             _refuse_in_dry_run(pool)
         votes = voted_contents(spec.contents, datasets_dir)
-    maps = _read_maps(options).model_copy(update={"contents": votes}) if isinstance(options, RosMapHomes) else None
-    learned_from = options.to_learn_from() if isinstance(options, RosMapHomes) else options
+    instead: HomeFiles | None = None
+    if isinstance(options, RosMapHomes):
+        instead = _read_maps(options).model_copy(update={"contents": votes})
+    elif isinstance(options, ResidenceHomes):
+        instead = _residences(options, datasets_dir, pool).model_copy(update={"contents": votes})
+    learned_from = options.to_learn_from() if isinstance(options, ResidenceHomes | RosMapHomes) else options
     houses = _houses(learned_from, datasets_dir, pool).model_copy(update={"contents": votes})
     folder = datasets_dir / "homes" / f"{learned_from.source}-{_set_key(learned_from, houses)}"
     if (manifest := artifacts.find_manifest(folder, HomesManifest)) is not None:
@@ -76,9 +82,9 @@ def make(spec: HomesSpec, pool: Pool | None) -> HomeSet:
         say_faults(houses)
         console.line(describe(manifest))
         if votes is not None:
-            say_match(votes, [*houses.read(), *(maps.read() if maps else ())])
+            say_match(votes, [*houses.read(), *(instead.read() if instead else ())])
         console.result(console.shown(folder), time.monotonic() - began_s)
-    return HomeSet(folder, manifest, houses, maps)
+    return HomeSet(folder, manifest, houses, instead)
 
 
 def outline(spec: HomesSpec) -> str:
@@ -140,18 +146,57 @@ def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool | None) -
         maker.start()
 
         def fill(temporary: Path) -> GeneratedHousesManifest:
-            houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, maker))
+            generated = maker.values(generate_numbered, range(options.total), options.seed, unit="homes")
+            houses = write_houses(temporary / GENERATED_FILE, _in_order(generated))
             return GeneratedHousesManifest(seed=options.seed, houses=houses, code_version=code_version())
 
         artifacts.make(folder, fill)
     return HouseFiles(files=(folder / GENERATED_FILE,))
 
 
-def _generate(seed: int, total: int, pool: Pool) -> Iterator[dict[str, Any]]:
+def _residences(options: ResidenceHomes, datasets_dir: Path, pool: Pool | None) -> HouseFiles:
+    """Return the generated residences, or the site of the user's homes, made unless they are there.
+
+    They depend only on size, seed, number and code, or on the content of the files.
+    """
+    if options.join:
+        check_files("homes.join", options.join)
+        check_files("homes.assets", [options.assets])
+        said = f"a site of the homes in {', '.join(path.name for path in options.join)}"
+        decides: list[object] = [sha256_of(path) for path in options.join]
+        decides += [sha256_of(options.assets) if options.assets else None, options.flats_per_side]
+    else:
+        said = f"{counted(options.residences, 'residence')} of {options.size()}, seed {options.seed}"
+        decides = [options.seed, options.residences, str(options.size())]
+    console.headline("residences", said)
+    folder = datasets_dir / "residences" / content_hash([*decides, hash_module(residence.__name__)])
+    if artifacts.find_manifest(folder, GeneratedHousesManifest) is None:
+        maker = _refuse_in_dry_run(pool)
+
+        def fill(temporary: Path) -> GeneratedHousesManifest:
+            made = write_houses(temporary / RESIDENCES_FILE, _make_residences(options, maker))
+            return GeneratedHousesManifest(seed=options.seed, houses=made, code_version=code_version())
+
+        artifacts.make(folder, fill)
+    return HouseFiles(files=(folder / RESIDENCES_FILE,), assets=options.assets)
+
+
+def _make_residences(options: ResidenceHomes, pool: Pool) -> Iterator[House]:
+    if options.join:
+        yield site.join_homes(list(procthor.read_with_json(options.join, options.assets)), options.flats_per_side)
+        return
+    pool.start()
+    numbers = range(options.residences)
+    yield from _in_order(
+        pool.values(generate_numbered_residence, numbers, options.seed, options.size(), unit="residences")
+    )
+
+
+def _in_order(numbered: Iterable[tuple[int, House]]) -> Iterator[House]:
     """Yield the houses in the order of their numbers, in whatever order the workers finish."""
-    waiting: dict[int, dict[str, Any]] = {}
+    waiting: dict[int, House] = {}
     following = 0
-    for number, generated in pool.values(generate_numbered, range(total), seed, unit="homes"):
+    for number, generated in numbered:
         waiting[number] = generated
         while following in waiting:
             yield waiting.pop(following)

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from mrtask.homes.home import SIZE_CLASSES, Home
+from mrtask.homes.home import ALL_SIZE_CLASSES, SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
 from mrtask.maps.ros_map import ScannedFloor, map_worlds, scan_floor
 from pipeline.base import console
@@ -142,9 +142,9 @@ def say_faults(source: HomeFiles) -> None:
 
 
 def count_by_size_class(homes: Sequence[Home]) -> dict[str, int]:
-    """Return the number of homes in each size class, small to large."""
+    """Return the number of homes in each size class, small to large, and of residences where there are any."""
     counts = Counter(home.size_class for home in homes)
-    return {name: counts[name] for name in SIZE_CLASSES}
+    return {name: counts[name] for name in ALL_SIZE_CLASSES if name in SIZE_CLASSES or name in counts}
 
 
 def distinct_layouts(homes: Sequence[Home]) -> list[Home]:

@@ -20,7 +20,7 @@ class HomeSet:
     houses: HouseFiles
     """The homes that are split."""
     instead_of_test: HomeFiles | None = None
-    """What planners are evaluated on instead of the test homes: with homes=ros_map, the maps."""
+    """What planners are evaluated on instead of the test homes: the maps of homes=ros_map, or homes=residence."""
 
     @property
     def evaluated(self) -> HomeFiles:

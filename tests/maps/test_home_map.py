@@ -8,7 +8,7 @@ from shapely.geometry import LineString, Polygon, box
 
 from mrtask.homes.home import Container, Door, Home, Obstacle, Room
 from mrtask.homes.procthor import read_houses
-from mrtask.maps.home_map import REACH_M, build_map, main_region
+from mrtask.maps.home_map import REACH_M, build_map, main_region, map_bytes
 
 
 def rectangle(x0, y0, x1, y1):
@@ -178,3 +178,7 @@ def test_soft_ways_are_longer_and_keep_away_from_walls(two_room_home, two_room_m
 def test_other_ways_are_refused(two_room_home):
     with pytest.raises(ValueError, match="ways must be one of shortest, soft, not 'scenic'"):
         build_map(two_room_home, ways="scenic")
+
+
+def test_the_memory_of_a_map_is_known_before_it_is_built(two_room_home, two_room_map):
+    assert map_bytes(two_room_home, two_room_map.resolution_m) == two_room_map.fields_m.nbytes

@@ -14,7 +14,7 @@ from matplotlib.path import Path
 from shapely import MultiLineString, get_coordinates, get_parts, line_merge, maximum_inscribed_circle, union_all
 from shapely.geometry import Polygon as ShapelyPolygon
 
-from mrtask.homes.home import SIZE_CLASSES, Home, Point, Polygon, Room
+from mrtask.homes.home import ALL_SIZE_CLASSES, RESIDENCE, Home, Point, Polygon, Room
 from mrtask.maps.home_map import HomeMap
 from mrtask.maps.ros_map import CellKind, ScannedFloor
 from mrtask.names import counted
@@ -24,6 +24,8 @@ ROOM_COLORS: Mapping[str, str] = {
     "Bedroom": "#ece4f1",
     "Kitchen": "#f8ead6",
     "LivingRoom": "#e4eedd",
+    "CommonKitchen": "#f3d9b4",
+    "Laundry": "#c3dce8",
 }
 OTHER_ROOM_COLOR = "#eeeeee"
 FULL_COLOR, EMPTY_COLOR, OBSTACLE_COLOR = "#c98a4b", "#eadbc8", "#b9bdc1"
@@ -49,6 +51,8 @@ TITLE_CHARS = 110
 CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5, "parse_math": False}
 ROOM_NAME_COLOR = "#555b63"
 GALLERY_CELL_IN = 4.0
+PLAN_IN, RESIDENCE_IN_PER_M = 8.0, 0.4
+"""The side of a home's drawing, and that of a residence by the metres that it shows."""
 
 
 def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool = True, names: bool = True) -> None:
@@ -78,6 +82,15 @@ def draw_home(home: Home, home_map: HomeMap | None, ax: Axes, *, objects: bool =
         )
         if len(spots):
             ax.scatter(spots[:, 0], spots[:, 1], s=7, color=ACCESS_COLOR, zorder=6, linewidths=0)
+
+
+def plan_figure(home: Home) -> Figure:
+    """Return an empty figure for a home's floor plan, large enough for its labels."""
+    side_in = PLAN_IN
+    if home.size_class == RESIDENCE:
+        points = np.array([point for room in home.rooms for point in room.polygon])
+        side_in = max(side_in, RESIDENCE_IN_PER_M * float(np.ptp(points, axis=0).max()))
+    return Figure(figsize=(side_in, side_in), layout="constrained")
 
 
 def draw_rooms(home: Home, ax: Axes) -> None:
@@ -122,9 +135,8 @@ def draw_scan(scan: ScannedFloor, ax: Axes) -> None:
 
 def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figure:
     """Homes side by side: a block of columns for each title, a row for each size class."""
-    rows = [
-        name for name in SIZE_CLASSES if any(home.size_class == name for block in columns.values() for home, _ in block)
-    ]
+    present = {home.size_class for block in columns.values() for home, _ in block}
+    rows = [name for name in ALL_SIZE_CLASSES if name in present]
     widths = [max(sum(home.size_class == name for home, _ in block) for name in rows) for block in columns.values()]
     figure = Figure(figsize=(GALLERY_CELL_IN * sum(widths), GALLERY_CELL_IN * len(rows)), layout="constrained")
     blocks = figure.subfigures(1, len(columns), squeeze=False, width_ratios=widths)[0]
@@ -134,7 +146,7 @@ def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figur
         for name, line in zip(rows, axes, strict=True):
             members = [pair for pair in homes if pair[0].size_class == name]
             for ax, (home, home_map) in zip(line, members, strict=False):
-                draw_home(home, home_map, ax)
+                draw_home(home, home_map, ax, names=name != RESIDENCE)  # there they would hide the rooms
                 ax.set_title(
                     f"{name}, {home.area_m2:.0f} m2, {counted(len(home.containers), 'container')}",
                     fontsize=ROOM_FONT_PT,

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from mrtask.homes.home import SIZE_CLASSES
+from mrtask.homes.home import ALL_SIZE_CLASSES
 
 REQUIRED_COLUMNS = ("trial_id", "size_class", "robots", "planner", "status", "cost_s", "cost_cells")
 BUDGET = "sample_budget"
@@ -79,7 +79,7 @@ def variants_in_order(episodes: pd.DataFrame) -> list[Variant]:
 def size_classes_in_order(names: Iterable[str]) -> list[str]:
     """Return the size classes from small to large, then any others by name."""
     present = set(names)
-    return [name for name in SIZE_CLASSES if name in present] + sorted(present - set(SIZE_CLASSES))
+    return [name for name in ALL_SIZE_CLASSES if name in present] + sorted(present - set(ALL_SIZE_CLASSES))
 
 
 def natural_key(text: str) -> list[tuple[int, float, str]]:

@@ -236,15 +236,19 @@ def _furnish(
         for room, kind in enumerate(types):
             pieces = furnish_room(kind, plan.rooms[room], openings[room], catalogue, rng)
             has_container |= any(piece.type in CONTAINER_TYPES for piece in pieces)
-            objects += _object_json(pieces, room + FIRST_ROOM_NUMBER, kind, catalogue, rng)
+            objects += furniture_json(pieces, room + FIRST_ROOM_NUMBER, kind, catalogue, rng)
         if has_container:
             return objects
     return None
 
 
-def _object_json(
-    pieces: Sequence[Piece], room: int, room_type: str, catalogue: Catalogue, rng: np.random.Generator
+def furniture_json(
+    pieces: Sequence[Piece], room: int | str, room_type: str, catalogue: Catalogue, rng: np.random.Generator
 ) -> list[dict[str, Any]]:
+    """Return the JSON of the pieces in a room, with contents drawn as in rooms of this type.
+
+    ``room`` is what ids call the room: its number, or a name without ``|``.
+    """
     objects = []
     smalls = 0
     for number, piece in enumerate(pieces):
@@ -283,7 +287,8 @@ def _point_along(wall: Wall, distance_m: float) -> Point:
     return (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
 
 
-def _vector(point: Point, height_m: float = 0.0) -> dict[str, float]:
+def floor_point(point: Point, height_m: float = 0.0) -> dict[str, float]:
+    """Return a point of the floor plane as a vector of the house JSON."""
     return {"x": point[0], "y": height_m, "z": point[1]}
 
 
@@ -291,7 +296,7 @@ def _room_json(plan: FloorPlan, room: int, kind: str) -> dict[str, Any]:
     return {
         "id": _room_id(room),
         "roomType": kind,
-        "floorPolygon": [_vector(point) for point in plan.rooms[room]],
+        "floorPolygon": [floor_point(point) for point in plan.rooms[room]],
         "children": [],
         "ceilings": [],
     }
@@ -310,7 +315,7 @@ def _wall_json(wall: Wall, is_open: bool) -> list[dict[str, Any]]:
     """Return the wall's two sides. Each follows its room's outline, hence they run in opposite directions."""
     sides = []
     for room, (start, end) in zip(wall.rooms, ((wall.start, wall.end), (wall.end, wall.start)), strict=True):
-        corners = [_vector(point, height_m) for height_m in (0.0, WALL_HEIGHT_M) for point in (start, end)]
+        corners = [floor_point(point, height_m) for height_m in (0.0, WALL_HEIGHT_M) for point in (start, end)]
         owner = wall.rooms[0] if room == OUTSIDE else room
         side: dict[str, Any] = {"id": _wall_id(room, wall), "roomId": _room_id(owner), "polygon": corners}
         sides.append({**side, "empty": True} if is_open else side)

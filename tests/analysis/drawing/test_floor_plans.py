@@ -19,8 +19,9 @@ from mrtask.analysis.drawing.floor_plans import (
     draw_home,
     draw_scan,
     passages,
+    plan_figure,
 )
-from mrtask.homes.home import Door, Home, Room
+from mrtask.homes.home import CORRIDOR, LIFT_LOBBY, Door, Home, Room
 from mrtask.maps.home_map import build_map
 from mrtask.maps.ros_map import CellKind, ScannedFloor
 
@@ -123,3 +124,15 @@ def test_a_gallery_has_a_row_for_each_size_class(generated_homes):
     figure = draw_gallery({"one": pairs, "other": pairs[:2]})
     titles = [ax.get_title().partition(",")[0] for block in figure.subfigs for ax in block.axes]
     assert titles == ["small"] * 3 + ["large"] * 3 + ["small"] * 2 + [""] * 2
+
+
+def test_a_residence_is_drawn_on_a_scale_that_shows_its_labels_and_in_galleries_without_names(two_room_home):
+    hall = ((0.0, 0.0), (0.0, 3.0), (60.0, 3.0), (60.0, 0.0))
+    rooms = (*two_room_home.rooms, Room("hall", CORRIDOR, hall), Room("lobby", LIFT_LOBBY, hall))
+    residence = replace(two_room_home, rooms=rooms)
+    assert plan_figure(two_room_home).get_size_inches().tolist() == [8.0, 8.0]
+    assert min(plan_figure(residence).get_size_inches()) > 20
+    home_map = build_map(two_room_home, 0.1)
+    figure = draw_gallery({"both": [(home, home_map) for home in (two_room_home, residence)]})
+    of_home, of_residence = ([text.get_text() for text in ax.texts] for ax in figure.subfigs[0].axes)
+    assert "Kitchen" in of_home and not any(text.isalpha() for text in of_residence)

@@ -77,6 +77,12 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["evaluation.speed_m_per_s=0"], ["evaluation.speed_m_per_s=0", "greater than 0"]),
         (["evaluation.max_failed_fraction=2"], ["at most 1"]),
         (["map=3"], ["map=3: should hold keys and values"]),
+        (["homes=residence", "homes.containers=20"], ["homes.containers=20: must be at least 50"]),
+        (["homes=residence", "homes.flats=1"], ["homes.flats=1: must be at least 2"]),
+        (
+            ["homes=residence", "homes.flats=40", "homes.flats_per_side=2"],
+            ["flats_per_side = 2 makes 10 floors of 40 flats, and a residence has at most 4; choose 5 to 8"],
+        ),
         (["homes=ros_map", "homes.map=3", "homes.containers=c"], ["homes.map.0=3: should be the path of a file"]),
         (["seed=null"], ["seed=None: has no value"]),
         (["evaluation.rerun=[failled]"], ["'error', 'timeout', 'failed'"]),
