@@ -8,6 +8,7 @@ would take.
 
 import contextlib
 import math
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from pipeline.app.main import main
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import UserError
+from pipeline.base.config import UserError, content_hash
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes.plan import EvaluationPlan, check, prepare
 from pipeline.episodes.runner import map_homes, pilot, run_episodes
@@ -74,11 +75,13 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
         f"model version {plan.identity.model_version}",
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
+    unsent = spec.homes.datasets_dir / "unsent" / content_hash([folder.location, plan.identity.content(())])
     if spec.overwrite:
         layout.forget_episodes(folder)
+        shutil.rmtree(unsent, ignore_errors=True)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
     identity = _join(folder, plan.identity)
-    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys())
+    writer = EpisodeWriter(folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), unsent)
     missing = plan.missing(writer.finished())
     earlier = EvaluationManifest.find(folder, MANIFEST)
     if not missing and earlier is not None and earlier.expected_episodes == len(identity.row_keys()):

@@ -9,9 +9,11 @@ import importlib
 import os
 import re
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from types import TracebackType
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -19,7 +21,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse, without_secrets
 from mrtask.files import default_cache_dir
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
@@ -85,6 +87,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
 def _prepare_process(module_name: str) -> None:
     # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.excepthook = _print_exception
     sys.argv = [_for_hydra(argument) for argument in sys.argv]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
@@ -98,6 +101,11 @@ def _prepare_process(module_name: str) -> None:
     ):
         OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
     OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
+
+
+def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print a bug's traceback as Python does, but for the secrets of addresses in it."""
+    print(without_secrets("".join(traceback.format_exception(kind, error, trace))), end="", file=sys.stderr)
 
 
 def _for_hydra(argument: str) -> str:

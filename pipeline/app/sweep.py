@@ -9,20 +9,21 @@ import hashlib
 import re
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrtask.errors import InputError, refuse
+from mrtask.errors import InputError, refuse, without_secrets
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import runs
 from pipeline.backends.pool import Pool
@@ -33,6 +34,7 @@ from pipeline.store.layout import CELLS
 
 LONGEST_NAME = 120
 CONFIG_NAME = "config"
+HYDRAS_RECORD = "multirun.yaml"
 
 
 @dataclass
@@ -53,6 +55,7 @@ class Sweep:
     def run_cell(self, stage: Stage, config: Config, overrides: Sequence[str], pool: Pool) -> None:
         """Run the stage in the cell's own output folder; note a user's mistake, so that the other cells still run."""
         self.started += 1
+        _strip_secrets(Path(HydraConfig.get().sweep.dir) / HYDRAS_RECORD)
         text = _text(overrides, self.swept)
         console.headline(f"cell {self.started}/{self.cells}", text)
         cell = Cell(text, _without_groups(text, self.swept), self.parent_run_id)
@@ -119,7 +122,7 @@ def _errors_end_the_process() -> Iterator[None]:
     except InputError as error:
         sys.exit(refuse(error))
     except Exception:
-        traceback.print_exc()
+        sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]  # there is one
         sys.exit(1)
 
 
@@ -151,6 +154,12 @@ def _open(overrides: list[str]) -> Sweep:
         run = runs.run(tracking, f"sweep {', '.join(sorted(swept))}", {"overrides": " ".join(overrides)}, tags)
         opened.parent_run_id = opened.cleanup.enter_context(run).run_id
     return opened
+
+
+def _strip_secrets(record: Path) -> None:
+    """Rewrite Hydra's record of the sweep, which it has just written, without the secrets of addresses."""
+    if record.is_file() and (text := record.read_text()) != (stripped := without_secrets(text)):
+        record.write_text(stripped)
 
 
 def _text(overrides: Sequence[str], swept: frozenset[str]) -> str:

@@ -23,6 +23,7 @@ from mlflow.data.sources import LocalArtifactDatasetSource  # type: ignore[attr-
 from mlflow.exceptions import MlflowException
 
 from mrtask.analysis.studies.training_figures import loss_curves, reliability_plot
+from mrtask.errors import without_secrets
 from mrtask.likelihood.dataset import CARD_FILE, MANIFEST_FILE, Dataset
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.metrics import evaluate_by, reliability
@@ -110,13 +111,13 @@ def run(
     active = mlflow.start_run(
         experiment_id=tracking.experiment_id,
         run_name=name,
-        tags=dict(tags),
+        tags={key: without_secrets(value) for key, value in tags.items()},
         nested=mlflow.active_run() is not None,
         parent_run_id=parent_run_id,
     )
     status = "FAILED"
     try:
-        mlflow.log_params({key: str(value)[:_PARAM_LENGTH] for key, value in _flat(params).items()})
+        mlflow.log_params({key: without_secrets(str(value))[:_PARAM_LENGTH] for key, value in _flat(params).items()})
         yield Run(tracking, active.info.run_id)
         status = "FINISHED"
     except KeyboardInterrupt:

@@ -11,18 +11,21 @@ from types import TracebackType
 
 from tqdm import tqdm
 
+from mrtask.errors import without_secrets
+
 PLAIN_LINE_EVERY_S = 15.0
 INDENT = "   "
 
 
 def headline(stage: str, text: str) -> None:
     """Open a stage."""
-    print(f"== {stage}: {text}", flush=True)
+    print(without_secrets(f"== {stage}: {text}"), flush=True)
 
 
 def line(text: str) -> None:
-    """Print one line below the headline."""
-    print(INDENT + text, flush=True)
+    """Print one line below the headline, and above a bar that is drawn meanwhile."""
+    with tqdm.external_write_mode(sys.stdout):
+        print(INDENT + without_secrets(text), flush=True)
 
 
 def text(lines: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from mrtask.planning.planners import PLANNERS
+from pipeline.backends.nodes import HeadLost
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
 from pipeline.episodes.kernels import compiled_meanwhile
@@ -36,7 +37,8 @@ def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool
     """Run the missing episodes and close the writer, also on an interrupt: finished episodes stay.
 
     Raises:
-        UserError: too many episodes fail.
+        HeadLost: the cluster's head is gone.
+        UserError: too many episodes fail, or the rows cannot be written.
     """
     options = plan.spec.options
     tally = Tally(plan.planners, options.max_failed_fraction)
@@ -44,20 +46,33 @@ def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool
     done = len(plan.keys) - len(missing)
     chains, wanted = plan.chains(missing), {(key.trial_id, key.planner) for key in missing}
     timeout_s = options.episode_timeout_s * max((len(chain) for chain in chains), default=1)
+    context = plan.context
     try:
         with console.Progress(len(plan.keys), "episodes", done) as progress:
-            for outcome in pool.run(run_chain, chains, plan.context, timeout_s=timeout_s):
+            for outcome in pool.run(run_chain, chains, context, timeout_s=timeout_s, modules=context.own_modules):
                 if outcome is None:
                     writer.tick()
-                    progress.update(0)
+                    progress.update(0, tally.note(pool.workers))
                     continue
-                for row in rows_of(outcome, plan.context):
+                for row in rows_of(outcome, context):
                     if (row.trial_id, row.planner) in wanted:  # others had a row and ran again only to be learned from
                         writer.add(row)
                         tally.add(row)
-                        progress.update(note=tally.note())
-    finally:
+                        done += 1
+                        progress.update(note=tally.note(pool.workers))
         writer.close()
+    except HeadLost as error:
+        writer.close()
+        raise HeadLost(
+            f"{error}; {done} of {len(plan.keys)} episodes are safe in {plan.spec.output_dir}. Start the cluster "
+            "again, then the same command continues from there"
+        ) from error
+    except KeyboardInterrupt:
+        writer.flush_soon()
+        raise
+    except BaseException:
+        writer.close()
+        raise
 
 
 def rows_of(
@@ -71,7 +86,7 @@ def rows_of(
         rows = tuple(unfinished_row(key, context, status, outcome.failure.message) for key in outcome.item)
     else:
         raise ValueError(f"{outcome.item} has neither a value nor a failure")
-    return tuple(replace(row, attempt=outcome.attempt) for row in rows)
+    return tuple(replace(row, attempt=outcome.attempt, node=outcome.node) for row in rows)
 
 
 def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:

@@ -44,10 +44,10 @@ class Tally:
                 for name, cost_s in self._costs_s.pop(row.trial_id).items():
                     self._sums_s[name] += cost_s
 
-    def note(self) -> str:
-        """Return the note: ``pouct 31% better than nonlearned_myopic, 2 failed``."""
+    def note(self, workers: str = "") -> str:
+        """Return the note: ``8 workers, pouct 31% better than nonlearned_myopic, 2 failed``."""
         baseline, planner = self._pair
-        parts = []
+        parts = [workers] if workers else []
         if baseline != planner and self._sums_s[baseline] > 0:
             saved = 1 - self._sums_s[planner] / self._sums_s[baseline]
             parts.append(f"{planner} {abs(saved):.0%} {'better' if saved >= 0 else 'worse'} than {baseline}")

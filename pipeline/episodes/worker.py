@@ -70,6 +70,12 @@ class Context:
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
 
+    @property
+    def own_modules(self) -> tuple[str, ...]:
+        """The modules of the user's own planners."""
+        paths = (spec.planner.rpartition(".")[0] for spec in self.planners.values())
+        return tuple(dict.fromkeys(module for module in paths if module))
+
 
 def map_home(number: int, context: Context) -> tuple[int, int]:
     """Map the home of this number into the cache; return how many containers it has and how many can be reached."""

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 import psutil
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from mrtask.errors import without_secrets
 from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
 from pipeline.base.config import UserError, content_hash
@@ -37,8 +38,8 @@ class Record(BaseModel):
     version: Literal[1] = 1
 
     def to_json(self) -> bytes:
-        """Return the file's content."""
-        return self.model_dump_json(indent=1).encode()
+        """Return the file's content, in which addresses have no secrets."""
+        return without_secrets(self.model_dump_json(indent=1)).encode()
 
     @classmethod
     def from_json(cls, content: bytes, path: str) -> Self:
