@@ -13,5 +13,8 @@ WORKDIR /mrtask
 COPY . .
 RUN make install
 
+# `ray start`, `ray job submit` and `mrtask` for KubeRay; its RayJob replaces the entrypoint.
+ENV PATH="/mrtask/.venv/bin:$PATH"
+
 ENTRYPOINT ["make", "--no-print-directory"]
 CMD ["reproduce", "EXPERIMENT=smoke"]

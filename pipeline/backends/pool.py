@@ -212,6 +212,7 @@ class Pool(AbstractContextManager["Pool"]):
         checked = tuple(dict.fromkeys((function.__module__, __name__, *modules)))
         expected = worker_code(checked)
         memory_bytes = int(self._cluster.memory_per_task_gb * 2**30)
+        dumps: Callable[[object], bytes] = ray.cloudpickle.dumps
         call: Any = ray.remote(num_cpus=1, memory=memory_bytes, max_retries=0)(_guarded())
         references = [ray.put(value) for value in shared]
         source, again, pace = iter(items), deque[list[_Try[Item]]](), _Pace()
@@ -227,7 +228,7 @@ class Pool(AbstractContextManager["Pool"]):
                     continue
                 anywhere = call.options(label_selector=nodes.selector) if nodes.selector else call
                 while len(in_flight) < self._most_in_flight and (tries := _next(again, source, pace.items)):
-                    work = ray.cloudpickle.dumps((function, [one.item for one in tries], timeout_s))
+                    work = dumps((function, [one.item for one in tries], timeout_s))
                     in_flight[anywhere.remote(expected, checked, work, references)] = _Batch(tries)
                 if not in_flight:
                     return
@@ -235,6 +236,7 @@ class Pool(AbstractContextManager["Pool"]):
                 if not ready:
                     _kill_hung(in_flight, timeout_s)
                     yield None
+                settled: Outcome[Item, Value] | list[_Try[Item]]
                 for reference in ready:
                     for settled in self._settle(in_flight.pop(reference), reference, pace):
                         if isinstance(settled, list):

@@ -3,7 +3,7 @@
 The registered model is code plus safetensors; nothing here reads or writes a pickle.
 
 The alias ``champion`` marks the model that evaluations use. The first model takes it; a later one only by a lower log
-loss than the champion's on test homes that neither was trained on. To roll back: ``set_champion(tracking, version)``.
+loss than the champion's on test homes that neither was trained on. To roll back: ``mrtask champion <version>``.
 """
 
 import json
@@ -152,6 +152,43 @@ def set_champion(tracking: Tracking, version: str) -> None:
     load_registered(tracking, version_uri(version))
     with FileLock(tracking.lock_path, timeout=LOCK_TIMEOUT_S):
         mlflow.MlflowClient().set_registered_model_alias(MODEL_NAME, CHAMPION_ALIAS, version)
+
+
+@dataclass(frozen=True)
+class Version:
+    """A version in the registry, as `pipeline.champion` lists it."""
+
+    number: str
+    champion: bool
+    kind: str
+    dataset: str
+    """The digest of the labelled rows that it was trained on."""
+    metrics: dict[str, float]
+    """On the test homes of its training."""
+    promotion: str
+    """Why it became champion when it was registered, or why not."""
+
+
+def versions(tracking: Tracking) -> list[Version]:
+    """Return all versions of our model, the oldest first."""
+    client = mlflow.MlflowClient(tracking.uri)
+    found = client.search_model_versions(f"name = '{MODEL_NAME}'")
+    aliases = client.get_registered_model(MODEL_NAME).aliases if found else {}
+    listed = []
+    for one in sorted(found, key=lambda version: int(version.version)):
+        run = client.get_run(one.run_id)
+        training = [given.dataset.digest for given in run.inputs.dataset_inputs if given.dataset.name.endswith("train")]
+        listed.append(
+            Version(
+                number=str(one.version),
+                champion=str(aliases.get(CHAMPION_ALIAS)) == str(one.version),
+                kind=one.tags.get("kind", "unknown"),
+                dataset=training[0] if training else "unknown",
+                metrics=dict(run.data.metrics),
+                promotion=one.tags.get("promotion", ""),
+            )
+        )
+    return listed
 
 
 def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:

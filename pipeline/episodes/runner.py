@@ -1,23 +1,31 @@
 """Maps the homes and runs the episodes of an evaluation, on all workers; a pilot estimates how long they take."""
 
+import contextlib
+import math
 import statistics
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Literal
 
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends.nodes import HeadLost
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
+from pipeline.base.config import UserError
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
 from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, run_one, unfinished_row, warm
 from pipeline.store.episode_row import EpisodeRow
-from pipeline.store.records import Reach
+from pipeline.store.folder import Folder, this_process
+from pipeline.store.layout import PROGRESS
+from pipeline.store.records import Reach, RunProgress
 from pipeline.store.rows import EpisodeWriter
 
+POST_EVERY_S = 10.0
+"""How often the run's progress is recorded."""
 PILOT_S = 20.0
 """How long a pilot runs at least."""
 
@@ -46,33 +54,77 @@ def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool
     done = len(plan.keys) - len(missing)
     chains, wanted = plan.chains(missing), {(key.trial_id, key.planner) for key in missing}
     timeout_s = options.episode_timeout_s * max((len(chain) for chain in chains), default=1)
-    context = plan.context
+    context, posts = plan.context, _Posts(plan, tally, pool, writer, done)
     try:
         with console.Progress(len(plan.keys), "episodes", done) as progress:
             for outcome in pool.run(run_chain, chains, context, timeout_s=timeout_s, modules=context.own_modules):
                 if outcome is None:
                     writer.tick()
+                    posts.post()
                     progress.update(0, tally.note(pool.workers))
                     continue
                 for row in rows_of(outcome, context):
                     if (row.trial_id, row.planner) in wanted:  # others had a row and ran again only to be learned from
                         writer.add(row)
                         tally.add(row)
-                        done += 1
+                        posts.done += 1
                         progress.update(note=tally.note(pool.workers))
+                posts.post()
         writer.close()
     except HeadLost as error:
         writer.close()
+        posts.end("failed", str(error))
         raise HeadLost(
-            f"{error}; {done} of {len(plan.keys)} episodes are safe in {plan.spec.output_dir}. Start the cluster "
+            f"{error}; {posts.done} of {len(plan.keys)} episodes are safe in {plan.spec.output_dir}. Start the cluster "
             "again, then the same command continues from there"
         ) from error
     except KeyboardInterrupt:
         writer.flush_soon()
+        posts.end("interrupted")
         raise
-    except BaseException:
+    except BaseException as error:
         writer.close()
+        posts.end("failed", str(error))
         raise
+    posts.end("finished")
+
+
+class _Posts:
+    """Leaves a record of the run's progress in its folder every few seconds, for those who look from elsewhere."""
+
+    def __init__(self, plan: EvaluationPlan, tally: Tally, pool: Pool, writer: EpisodeWriter, done: int) -> None:
+        self.done = done
+        self._folder = Folder(plan.spec.output_dir)
+        self._total, self._began_with, self._started = len(plan.keys), done, time.time()
+        self._tally, self._pool, self._writer = tally, pool, writer
+        self._posted_s = -math.inf
+
+    def post(self) -> None:
+        """Leave a record when it is time."""
+        if time.monotonic() - self._posted_s >= POST_EVERY_S:
+            self._posted_s = time.monotonic()
+            record = self._record("running")
+            self._writer.post(lambda: record.write(self._folder, PROGRESS))
+
+    def end(self, state: Literal["finished", "interrupted", "failed"], message: str = "") -> None:
+        """Leave the last record; a store that does not take it is not waited for."""
+        with contextlib.suppress(UserError):
+            self._folder.write(PROGRESS, self._record(state, message).to_json(), patient=False)
+
+    def _record(self, state: Literal["running", "finished", "interrupted", "failed"], message: str = "") -> RunProgress:
+        return RunProgress(
+            state=state,
+            by=this_process(),
+            started=self._started,
+            updated=time.time(),
+            done=self.done,
+            total=self._total,
+            began_with=self._began_with,
+            workers=self._pool.slots,
+            note=self._tally.note(),
+            last_error=self._tally.last_error,
+            message=message,
+        )
 
 
 def rows_of(

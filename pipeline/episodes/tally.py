@@ -22,6 +22,7 @@ class Tally:
         self._costs_s: defaultdict[str, dict[str, float]] = defaultdict(dict)
         self._sums_s = dict.fromkeys(self._pair, 0.0)
         self._episodes = self._failed = 0
+        self.last_error = ""
 
     def add(self, row: EpisodeRow) -> None:
         """Count a row.
@@ -32,6 +33,8 @@ class Tally:
         self._episodes += 1
         if row.status in ("error", "timeout"):
             self._failed += 1
+            reason = (row.error or row.status).strip().splitlines()[-1]
+            self.last_error = f"{row.trial_id} by {row.planner}: {reason}"
             if self._episodes >= MIN_EPISODES_TO_JUDGE and self._failed > self._max_failed_fraction * self._episodes:
                 raise UserError(
                     f"{self._failed} of {self._episodes} episodes failed, more than evaluation.max_failed_fraction="

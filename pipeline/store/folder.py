@@ -237,7 +237,7 @@ def _locked_file(path: Path, folder: Folder) -> Iterator[None]:
             ) from error
         handle.seek(0)
         handle.truncate()
-        handle.write(f"{_this_process()}\n")
+        handle.write(f"{this_process()}\n")
         handle.flush()
         yield
 
@@ -249,7 +249,7 @@ def _leased(folder: Folder) -> Iterator[None]:
     over = threading.Event()
 
     def write() -> None:
-        lease = {"by": _this_process(), "host": socket.gethostname(), "renewed": time.time()}
+        lease = {"by": this_process(), "host": socket.gethostname(), "renewed": time.time()}
         folder.write(LOCK, json.dumps(lease).encode(), patient=False)
 
     def renew() -> None:
@@ -287,5 +287,6 @@ def _refuse_if_leased(folder: Folder) -> None:
         )
 
 
-def _this_process() -> str:
+def this_process() -> str:
+    """Return which process this is, for people on other machines."""
     return f"process {os.getpid()} on {socket.gethostname()}"

@@ -330,6 +330,35 @@ class EvaluationManifest(Record):
         return facts | ({"stages": dict(stages.seconds)} if stages else {})
 
 
+class RunProgress(Record):
+    """How far an evaluation is, for `pipeline.status` on any machine."""
+
+    state: Literal["running", "finished", "interrupted", "failed"]
+    by: str
+    """Which process runs it, and where."""
+    started: float
+    """Unix time of the command's first episode."""
+    updated: float
+    """Unix time of this record."""
+    done: int
+    total: int
+    """How many episodes there are of those that the command asked for, and how many it asked for."""
+    began_with: int
+    """How many of them were there before the command."""
+    workers: int
+    note: str
+    """What the progress line says besides."""
+    last_error: str = ""
+    """The last episode that ended with an exception or a timeout, and why."""
+    message: str = ""
+    """Why the run failed."""
+
+    @property
+    def per_s(self) -> float:
+        """Episodes a second since the command began; 0 where none has finished."""
+        return (self.done - self.began_with) / max(self.updated - self.started, 1e-9)
+
+
 class StageTimes(Record):
     """How long the stages of a whole experiment took."""
 

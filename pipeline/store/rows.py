@@ -120,6 +120,13 @@ class EpisodeWriter:
             self._merge()
         self._courier.dismiss()
 
+    def post(self, write: Callable[[], None]) -> None:
+        """Write something beside the rows: at once, or in a store by the thread, unless that is busy."""
+        if self._folder.is_local:
+            write()
+        elif self._errand is None and not self._given_up:
+            self._courier.send(_Errand([], write))
+
     def flush_soon(self) -> None:
         """Write the rest within the few seconds that a scheduler leaves; a store that is slower gets it later."""
         end_s = time.monotonic() + GRACE_S

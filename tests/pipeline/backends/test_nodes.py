@@ -117,7 +117,5 @@ def test_a_silent_head_is_waited_for_and_a_dead_one_named(lab: Lab, said: Callab
     assert nodes.recount() and said() == ["it answers again"]
     lab.head.close()
     lab.later(module.HEAD_SILENT_S)
-    with pytest.raises(
-        HeadLost, match=rf"the head of the Ray cluster at 127.0.0.1:{lab.port} has not answered for 20 s"
-    ):
+    with pytest.raises(HeadLost, match=rf"the Ray cluster at 127.0.0.1:{lab.port} has not answered for 20 s"):
         nodes.recount()

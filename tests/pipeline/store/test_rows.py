@@ -249,7 +249,7 @@ def test_rows_that_a_store_never_took_are_sent_by_the_next_run(
         monkeypatch.setattr(storage, "PATIENCE_S", 0.05)
         store.down = True
         writer.add(row(1))
-        with pytest.raises(UserError, match="nobody answers; 1 row that it lacks went to .*unsent.*same command"):
+        with pytest.raises(UserError, match=r"nobody answers; 1 row that it lacks went to .*unsent.*same command"):
             writer.settle()
         writer.close()  # has nothing left to do, and does not try for as long again
         store.down = False
