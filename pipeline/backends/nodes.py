@@ -66,6 +66,11 @@ class Nodes:
         return sum(node.slots for node in self._used())
 
     @property
+    def free_cores(self) -> int:
+        """How many cores nobody uses at the moment, those of nodes that are left out too."""
+        return int(ray.available_resources().get("CPU", 0))  # type: ignore[no-untyped-call]
+
+    @property
     def selector(self) -> Mapping[str, str]:
         """Ray's label selector for the nodes that are not left out; empty where none is."""
         return {NODE_ID: f"!in({','.join(sorted(self._left_out))})"} if self._left_out else {}

@@ -173,6 +173,11 @@ class Pool(AbstractContextManager["Pool"]):
         """The same as text: ``8 workers``."""
         return counted(self.slots, "worker")
 
+    @property
+    def occupied(self) -> int:
+        """How many of the slots others use at the moment."""
+        return max(0, self.slots - self._joined().free_cores)
+
     def _joined(self) -> Nodes:
         if self._nodes is None:
             if not ray.is_initialized():

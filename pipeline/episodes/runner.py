@@ -17,7 +17,7 @@ from pipeline.base.config import UserError
 from pipeline.episodes.kernels import compiled_meanwhile
 from pipeline.episodes.plan import EvaluationPlan
 from pipeline.episodes.tally import Tally
-from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, run_one, unfinished_row, warm
+from pipeline.episodes.worker import Context, EpisodeKey, map_home, run_chain, run_warm, unfinished_row, warm
 from pipeline.store.episode_row import EpisodeRow
 from pipeline.store.folder import Folder, this_process
 from pipeline.store.layout import PROGRESS
@@ -156,6 +156,8 @@ def warm_kernels(context: Context, missing: Sequence[EpisodeKey]) -> None:
 
 def pilot(plan: EvaluationPlan, pool: Pool) -> Iterator[str]:
     """Time some episodes and say how long all of them would take, a line for each planner and one for the whole."""
+    if pool.occupied:
+        yield f"{pool.occupied} of {pool.workers} are occupied by others now, who make this pilot and the run slower"
     spent_s = _spent_s(plan, pool)
     episodes = len(plan.keys) // len(plan.planners)
     total_s = 0.0
@@ -163,9 +165,10 @@ def pilot(plan: EvaluationPlan, pool: Pool) -> Iterator[str]:
         planning_s, other_s = zip(*pairs, strict=True)
         # Only the first episode in a home maps it, which most episodes need not do: hence the median.
         mean_s = statistics.fmean(planning_s) + statistics.median(other_s)
-        total_s += mean_s * episodes / pool.slots
+        total_s += mean_s * episodes
         yield f"{planner:20} {mean_s:8.3f} s an episode, from {len(pairs)}"
-    yield f"about {console.duration(total_s)} on {pool.slots} workers; no episode was written (dry_run)"
+    wall = console.duration(total_s / pool.slots)
+    yield f"about {wall} on {pool.workers}, {total_s / 3600:.2g} CPU hours; no episode was written (dry_run)"
 
 
 def _spent_s(plan: EvaluationPlan, pool: Pool) -> dict[str, list[tuple[float, float]]]:
@@ -173,7 +176,8 @@ def _spent_s(plan: EvaluationPlan, pool: Pool) -> dict[str, list[tuple[float, fl
     warm_kernels(plan.context, plan.keys)
     spent_s: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
     end_s = time.monotonic() + PILOT_S
-    for outcome in pool.run(run_one, plan.keys, plan.context, timeout_s=plan.spec.options.episode_timeout_s):
+    timeout_s, own = plan.spec.options.episode_timeout_s, plan.context.own_modules
+    for outcome in pool.run(run_warm, plan.keys, plan.context, timeout_s=timeout_s, modules=own):
         row = outcome.value if outcome is not None else None
         if row is not None and row.planning_s is not None and row.wall_s is not None:
             spent_s[row.planner].append((row.planning_s, row.wall_s - row.planning_s))

@@ -175,6 +175,15 @@ def warm(key: EpisodeKey, context: Context) -> None:
     warm_up(*setting(key, context), spec.make())
 
 
+def run_warm(key: EpisodeKey, context: Context) -> EpisodeRow:
+    """Return the row of `run_one` as later episodes run: what a worker does once for each planner is done before."""
+    warmed = bench_of(context).warmed
+    if key.planner not in warmed:
+        warm(key, context)
+        warmed.add(key.planner)
+    return run_one(key, context)
+
+
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
     """Return the row of an episode of which nothing more is known; the driver can make it too."""
     made_by = context.provenance
@@ -196,6 +205,7 @@ class Bench:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self.warmed: set[str] = set()
         self.homes = {home.id: home for home in context.homes}
         self.map_of = lru_cache(maxsize=MAPS_KEPT)(lambda home_id: context.maps.map_of(self.homes[home_id]))
         self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)

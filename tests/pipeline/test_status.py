@@ -30,8 +30,8 @@ def test_a_finished_run(copied_output: Path, capsys: pytest.CaptureFixture[str])
     assert ": finished " in first and first.endswith(" ago")
     assert whole == "  24 of 24 episodes"
     assert [line.split() for line in planners] == [
-        ["nonlearned_myopic", *"12 of 12".split()],
-        ["pouct", *"12 of 12".split()],
+        ["nonlearned_myopic", *["12", "of", "12"]],
+        ["pouct", *["12", "of", "12"]],
     ]
     assert "than nonlearned_myopic" in note
 
