@@ -11,10 +11,8 @@ ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
 WORKDIR /mrtask
 
 COPY . .
-RUN make install
-
-# `ray start`, `ray job submit` and `mrtask` for KubeRay; its RayJob replaces the entrypoint.
-ENV PATH="/mrtask/.venv/bin:$PATH"
+# KubeRay runs `ray` and `mrtask` in a login shell, which knows no other PATH than the system's.
+RUN make install && ln -s /mrtask/.venv/bin/ray /mrtask/.venv/bin/mrtask /usr/local/bin/
 
 ENTRYPOINT ["make", "--no-print-directory"]
 CMD ["reproduce", "EXPERIMENT=smoke"]

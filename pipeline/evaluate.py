@@ -93,7 +93,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> None:
     session.pool.start()
     with _tracked(plan, folder, session.cell) as run:
         reach = map_homes(plan.context, session.pool)
-        run_episodes(plan, missing, session.pool, writer)
+        run_episodes(plan, missing, session.pool, writer, runs.LiveMetrics(run))
         manifest = _manifest(
             plan, identity, session, reach=reach, started=started, wall_s=time.monotonic() - began_s, run_id=run.run_id
         )

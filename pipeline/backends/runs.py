@@ -8,6 +8,7 @@ import contextlib
 import logging
 import os
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.metrics import evaluate_by, reliability
 from mrtask.likelihood.rows import SPLITS, TRIPLE
 from mrtask.likelihood.training import TrainedModel, score
+from pipeline.base import console
 from pipeline.base.config import UserError
 
 for _name in ("mlflow", "alembic"):
@@ -151,6 +153,28 @@ def log_metrics(run: Run, metrics: Mapping[str, float], step: int | None = None)
     """Log numbers, those of one epoch under its ``step``; values that are not finite are left out."""
     finite = {name: float(value) for name, value in metrics.items() if np.isfinite(value)}
     mlflow.log_metrics(finite, step=step, run_id=run.run_id)
+
+
+class LiveMetrics:
+    """Logs numbers of a run under way from a thread, so that a slow or dead server holds nobody up."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._thread: threading.Thread | None = None
+        self._step = 0
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        """Log them as the next step; they are left out where the last ones are still on their way."""
+        if self._thread is None or not self._thread.is_alive():
+            self._step += 1
+            self._thread = threading.Thread(target=self._log, args=(metrics, self._step), daemon=True)
+            self._thread.start()
+
+    def _log(self, metrics: Mapping[str, float], step: int) -> None:
+        try:
+            log_metrics(self._run, metrics, step)
+        except MlflowException as error:
+            console.line(f"MLflow does not take live metrics: {str(error).splitlines()[0]}")
 
 
 def log_artifact(run: Run, path: Path, folder: str | None = None) -> None:

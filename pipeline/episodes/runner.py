@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Literal
 
 from mrtask.planning.planners import PLANNERS
+from pipeline.backends import runs
 from pipeline.backends.nodes import HeadLost
 from pipeline.backends.pool import Outcome, Pool
 from pipeline.base import console
@@ -26,6 +27,8 @@ from pipeline.store.rows import EpisodeWriter
 
 POST_EVERY_S = 10.0
 """How often the run's progress is recorded."""
+LOG_EVERY_S = 60.0
+"""How often MLflow gets live metrics."""
 PILOT_S = 20.0
 """How long a pilot runs at least."""
 
@@ -41,8 +44,12 @@ def map_homes(context: Context, pool: Pool) -> Reach:
     return reach
 
 
-def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool, writer: EpisodeWriter) -> None:
+def run_episodes(
+    plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool, writer: EpisodeWriter, live: runs.LiveMetrics
+) -> None:
     """Run the missing episodes and close the writer, also on an interrupt: finished episodes stay.
+
+    ``live`` gets the number of episodes and the improvement so far every minute.
 
     Raises:
         HeadLost: the cluster's head is gone.
@@ -54,7 +61,7 @@ def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool
     done = len(plan.keys) - len(missing)
     chains, wanted = plan.chains(missing), {(key.trial_id, key.planner) for key in missing}
     timeout_s = options.episode_timeout_s * max((len(chain) for chain in chains), default=1)
-    context, posts = plan.context, _Posts(plan, tally, pool, writer, done)
+    context, posts = plan.context, _Posts(plan, tally, pool, writer, live, done)
     try:
         with console.Progress(len(plan.keys), "episodes", done) as progress:
             for outcome in pool.run(run_chain, chains, context, timeout_s=timeout_s, modules=context.own_modules):
@@ -92,12 +99,20 @@ def run_episodes(plan: EvaluationPlan, missing: Sequence[EpisodeKey], pool: Pool
 class _Posts:
     """Leaves a record of the run's progress in its folder every few seconds, for those who look from elsewhere."""
 
-    def __init__(self, plan: EvaluationPlan, tally: Tally, pool: Pool, writer: EpisodeWriter, done: int) -> None:
+    def __init__(
+        self,
+        plan: EvaluationPlan,
+        tally: Tally,
+        pool: Pool,
+        writer: EpisodeWriter,
+        live: runs.LiveMetrics,
+        done: int,
+    ) -> None:
         self.done = done
         self._folder = Folder(plan.spec.output_dir)
         self._total, self._began_with, self._started = len(plan.keys), done, time.time()
-        self._tally, self._pool, self._writer = tally, pool, writer
-        self._posted_s = -math.inf
+        self._tally, self._pool, self._writer, self._live = tally, pool, writer, live
+        self._posted_s = self._logged_s = -math.inf
 
     def post(self) -> None:
         """Leave a record when it is time."""
@@ -105,6 +120,10 @@ class _Posts:
             self._posted_s = time.monotonic()
             record = self._record("running")
             self._writer.post(lambda: record.write(self._folder, PROGRESS))
+        if time.monotonic() - self._logged_s >= LOG_EVERY_S:
+            self._logged_s = time.monotonic()
+            saved = self._tally.saved
+            self._live.log({"live/episodes": self.done} | ({} if saved is None else {"live/improvement": saved}))
 
     def end(self, state: Literal["finished", "interrupted", "failed"], message: str = "") -> None:
         """Leave the last record; a store that does not take it is not waited for."""

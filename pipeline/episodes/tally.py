@@ -47,12 +47,19 @@ class Tally:
                 for name, cost_s in self._costs_s.pop(row.trial_id).items():
                     self._sums_s[name] += cost_s
 
+    @property
+    def saved(self) -> float | None:
+        """Which part of the baseline's cost the planner saves; None while no trial has both."""
+        baseline, planner = self._pair
+        if baseline == planner or not self._sums_s[baseline]:
+            return None
+        return 1 - self._sums_s[planner] / self._sums_s[baseline]
+
     def note(self, workers: str = "") -> str:
         """Return the note: ``8 workers, pouct 31% better than nonlearned_myopic, 2 failed``."""
         baseline, planner = self._pair
         parts = [workers] if workers else []
-        if baseline != planner and self._sums_s[baseline] > 0:
-            saved = 1 - self._sums_s[planner] / self._sums_s[baseline]
+        if (saved := self.saved) is not None:
             parts.append(f"{planner} {abs(saved):.0%} {'better' if saved >= 0 else 'worse'} than {baseline}")
         if self._failed:
             parts.append(f"{self._failed} failed")
