@@ -214,7 +214,8 @@ class Pool(AbstractContextManager["Pool"]):
             UserError: no node can be used, or none runs the driver's code.
         """
         nodes = self._joined()
-        checked = tuple(dict.fromkeys((function.__module__, __name__, *modules)))
+        # What a program defines in itself is sent along as it stands.
+        checked = tuple(dict.fromkeys(name for name in (function.__module__, __name__, *modules) if name != "__main__"))
         expected = worker_code(checked)
         memory_bytes = int(self._cluster.memory_per_task_gb * 2**30)
         dumps: Callable[[object], bytes] = ray.cloudpickle.dumps
