@@ -7,6 +7,9 @@ in ``__init__.pyi`` and loaded when they are first used, so that ``import mrtask
 
 import lazy_loader
 
+__version__ = "0.1.0"
+"""The version of the library and of the pipeline, which `pyproject.toml` reads from here."""
+
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 

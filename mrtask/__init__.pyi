@@ -51,3 +51,5 @@ from .tasks.automaton import Automaton as Automaton
 from .tasks.automaton import build_automaton as build_automaton
 from .tasks.templates import TEMPLATES as TEMPLATES
 from .tasks.templates import make_formula as make_formula
+
+__version__: str

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 
+from mrtask import __version__
 from mrtask.errors import refuse
 
 STAGES = {
@@ -65,6 +66,8 @@ def main() -> None:
     name = sys.argv[1] if len(sys.argv) > 1 else "--help"
     if name in ("-h", "--help", "help"):
         print(usage(known))
+    elif name == "--version":
+        print(f"mrtask {__version__}")
     elif (command := known.get(name)) is None:
         sys.exit(refuse(f"no command {name!r}\n{usage(known)}"))
     elif missing := [package for package in command.needs if find_spec(package) is None]:
@@ -78,7 +81,7 @@ def main() -> None:
 def usage(known: Mapping[str, Command]) -> str:
     """Return a line for each command."""
     lines = [f"  mrtask {name:11} {command.text}" for name, command in known.items()]
-    return "\n".join(["usage: mrtask COMMAND [KEY=VALUE ...]", *lines, "mrtask COMMAND --help says more"])
+    return "\n".join(["usage: mrtask COMMAND [KEY=VALUE ...]", *lines, "mrtask COMMAND --help says more, mrtask --version which version this is"])
 
 
 if __name__ == "__main__":

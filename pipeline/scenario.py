@@ -77,7 +77,7 @@ def run(arguments: Sequence[str]) -> None:
     (folder / "traces").mkdir(parents=True, exist_ok=True)
     for name, result in first.items():
         (folder / "traces" / f"{name}.json").write_text(result.trace.to_json() + "\n", encoding="utf-8")
-    command = shlex.join(["python", "-m", "pipeline.scenario", *arguments])
+    command = f"python -m pipeline.scenario {shlex.join(arguments)}"
     (folder / "replay.html").write_text(_replay(scenario, first, recorders, options, command), encoding="utf-8")
     _draw(scenario, first).savefig(folder / "plans.png", dpi=150)  # type: ignore[attr-defined]
     console.line(f"-> {console.shown(folder)}")

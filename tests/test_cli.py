@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mrtask import cli
+from mrtask import __version__, cli
 from mrtask.errors import INTERRUPT_EXIT, USER_ERROR_EXIT
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,6 +41,12 @@ def test_a_command_that_is_none_is_refused_and_all_are_listed() -> None:
     assert (
         done.returncode == USER_ERROR_EXIT and "no command 'reproduced'" in done.stderr and "mrtask live" in done.stderr
     )
+
+
+def test_the_version_is_that_of_the_library() -> None:
+    done = mrtask("--version")
+    assert done.returncode == 0 and done.stdout == f"mrtask {__version__}\n"
+    assert "mrtask --version" in mrtask("--help").stdout
 
 
 def test_exit_codes_are_written_in_one_place() -> None:

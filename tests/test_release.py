@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import mrtask
 from mrtask import doctor
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -19,13 +20,13 @@ def test_licence_version_and_citation_agree() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert PROJECT["license"] == citation["license"] == "Apache-2.0"
     assert "Apache License" in (ROOT / "LICENSE").read_text() and "Version 2.0" in (ROOT / "LICENSE").read_text()
-    assert citation["version"] == PROJECT["version"]
+    assert citation["version"] == mrtask.__version__
     paper = citation["references"][0]
     published = tomllib.loads((ROOT / "mrtask" / "analysis" / "results" / "published.toml").read_text())["source"]
     assert paper["title"] == published["title"]
     assert ", ".join(author["family-names"] for author in paper["authors"]) == published["authors"]
     assert paper["identifiers"][0]["value"].endswith(published["arxiv"])
-    assert f"[{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"[{mrtask.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_what_is_derived_from_others_is_named() -> None:

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from mrtask import cli
 from mrtask.cli import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,6 +64,16 @@ def test_nothing_in_it_names_the_checkouts_package(site: Path) -> None:
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not [name for name in names if name.partition(".")[0] == "pipeline"], path
     assert "_target_: mrtask.pipeline." in (site / "mrtask" / "conf" / "config.yaml").read_text()
+
+
+def test_commands_in_its_messages_are_those_that_it_installs(site: Path) -> None:
+    named = re.compile(rf"python -m (mrtask\.)?pipeline\.({'|'.join(cli.commands())})(?!\w|\.\w)")
+    files = [path for path in (site / "mrtask").rglob("*") if path.suffix in (".py", ".yaml", ".jinja")]
+    assert {path: found[0] for path in files if (found := named.search(path.read_text()))} == {}
+    said = (site / "mrtask" / "pipeline" / "episodes" / "plan.py").read_text()
+    assert "no model is registered yet; mrtask train trains one" in said
+    live = (site / "mrtask" / "pipeline" / "live" / "ros.py").read_text()
+    assert "    python -m mrtask.pipeline.live.ros " in live and "is mrtask live running" in live
 
 
 def test_the_library_needs_none_of_the_pipelines_packages(site: Path, tmp_path: Path) -> None:

@@ -14,13 +14,14 @@ from mrtask.arrays import Bools, Floats
 from mrtask.bounds.lower_bound import lower_bound
 from mrtask.bounds.one_robot import SearchMade
 from mrtask.execution.acts import ActKind
-from mrtask.execution.episode import Plans, as_planner, run_episode
+from mrtask.execution.episode import run_episode
 from mrtask.execution.simulation import Simulation
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.planners import planner_name
+from mrtask.planning.planners import as_planner, planner_name
+from mrtask.planning.problem import Plans
 from mrtask.planning.solver_belief import belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 

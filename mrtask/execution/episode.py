@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,8 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.planners import planner_name
-from mrtask.planning.problem import Plan, Planner, PlanningProblem, PlanOnly
+from mrtask.planning.planners import as_planner, planner_name
+from mrtask.planning.problem import Plan, PlanningProblem, Plans
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05
@@ -32,14 +31,6 @@ Likelihood = NDArray[np.float64] | LikelihoodModel
 """[C, O] the probability that container c holds the trial's object o, or a model to ask."""
 Observer = Callable[[float, PlanningProblem, Plan], None]
 """Called at each decision with the time in seconds, what the planner saw and what it answered."""
-
-
-class Plans(Protocol):
-    """The least that a planner must have."""
-
-    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Return the team's assignments."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -174,7 +165,7 @@ def run_episode(
     home: Home,
     home_map: HomeMap,
     likelihood: Likelihood,
-    planner: Plans,
+    planner: Plans | str,
     name: str | None = None,
     *,
     max_decisions: int = MAX_DECISIONS,
@@ -184,11 +175,12 @@ def run_episode(
 
     Args:
         likelihood: where objects may be.
-        planner: one of ours, or any object with a method `plan`.
+        planner: any object with a method `plan`, or the name or import path of a planner, with its default options.
         name: the planner's name, on which its seeds depend; None: its name among ours, or its import path.
 
     Raises:
-        ValueError: the simulation cannot carry out a plan. TypeError: the planner has no method `plan`.
+        ValueError: the simulation cannot carry out a plan.
+        InputError: the planner has no method `plan`, or the likelihood no method `predict`.
     """
     full = as_planner(planner)
     name = name or planner_name(full)
@@ -205,26 +197,10 @@ def run_episode(
     return episode.result(planning_s)
 
 
-def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans) -> None:
+def warm_up(trial: Trial, home: Home, home_map: HomeMap, likelihood: Likelihood, planner: Plans | str) -> None:
     """Let a planner compile its kernels on a trial's first decision. Takes and raises what `run_episode` does."""
     full = as_planner(planner)
     full.warm_up(Episode(trial, home, home_map, likelihood, known=full.knows_contents).problem)
-
-
-def as_planner(planner: Plans) -> Planner:
-    """Return the planner with defaults for what it lacks.
-
-    Raises:
-        TypeError: it has no method `plan`.
-    """
-    if isinstance(planner, Planner):
-        return planner
-    if not callable(getattr(planner, "plan", None)):
-        raise TypeError(
-            f"a planner is an object with a method plan(problem, seed), not {planner!r}; "
-            "make_planner makes one from a name or an import path"
-        )
-    return PlanOnly(planner.plan)
 
 
 def _matrix(likelihood: Likelihood, home: Home, objects: tuple[str, ...]) -> NDArray[np.float64]:

@@ -14,15 +14,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mrtask.execution.episode import EpisodeResult, Plans, as_planner, run_episode
+from mrtask.execution.episode import EpisodeResult, run_episode
 from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Planner
+from mrtask.planning.planners import as_planner
+from mrtask.planning.problem import Planner, Plans
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Progress:
     result: EpisodeResult
 
 
-Named = Sequence[str] | Mapping[str, Plans]
+Named = str | Sequence[str] | Mapping[str, Plans | str]
 """Names of planners in `PLANNERS`, or any planners under names that you choose."""
 
 
@@ -44,7 +44,7 @@ def run_experiment(
     planners: Named,
     likelihood: LikelihoodModel,
     *,
-    robots: Sequence[int] = (1, 2, 3),
+    robots: int | Sequence[int] = (1, 2, 3),
     trials_per_cell: int = 10,
     seed: int = 0,
     options: TrialOptions | None = None,
@@ -56,21 +56,24 @@ def run_experiment(
     Args:
         homes: the homes to evaluate on; trials are made for every size class among them. The likelihood should not have
             been trained on any of them.
-        planners: names of `PLANNERS` or import paths, which get their default options; or a mapping from a name that
-            you choose to a planner. A planner's random seeds depend on its name.
+        planners: names of `PLANNERS` or import paths (or just one), which get their default options; or a mapping from
+            a name that you choose to a planner. A planner's random seeds depend on its name.
         likelihood: where objects may be.
+        robots: the sizes of the teams, or just one.
         trials_per_cell: trials for each size class and team size.
         cache_dir: a folder in which maps are kept between calls.
 
     Raises:
-        ValueError: a planner is unknown, a plan cannot be carried out, or no home has enough objects.
+        InputError: a planner is unknown, or the likelihood has no method `predict`.
+        ValueError: a plan cannot be carried out, or no home has enough objects.
     """
     chosen = _planners(planners)
+    teams = (robots,) if isinstance(robots, int) else tuple(robots)
     known = {home.id: home for home in homes}
     table = build_table(likelihood, homes, options.formula_objects if options else ())
     map_of = lru_cache(maxsize=None)(lambda home_id: cached_map(known[home_id], cache_dir))
     sizes = [name for name in SIZE_CLASSES if any(home.size_class == name for home in homes)]
-    cells = [(size, team) for size in sizes for team in robots]
+    cells = [(size, team) for size in sizes for team in teams]
     orders = {cell: home_order(homes, *cell, seed) for cell in cells}
     rows: list[dict[str, Any]] = []
     total = trials_per_cell * len(cells) * len(chosen)
@@ -111,9 +114,9 @@ def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, An
 
 
 def _planners(planners: Named) -> dict[str, Planner]:
-    if not isinstance(planners, Mapping):
-        return {name: make_planner(name) for name in planners}
-    return {name: as_planner(planner) for name, planner in planners.items()}
+    names = [planners] if isinstance(planners, str) else planners
+    named = names if isinstance(names, Mapping) else {name: name for name in names}
+    return {name: as_planner(planner) for name, planner in named.items()}
 
 
 def _episodes(

@@ -135,7 +135,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Read the manifest alone (cheap). Raises ``DatasetError`` if it is missing or has another format."""
     path = folder / MANIFEST_FILE
     if not path.is_file():
-        raise DatasetError(f"no dataset in {folder} ({MANIFEST_FILE} is missing): run python -m pipeline.dataset")
+        raise DatasetError(f"no dataset in {folder} ({MANIFEST_FILE} is missing): run mrtask dataset")
     try:
         raw: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         version = raw["format_version"]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mrtask.arrays import Floats
+from mrtask.errors import InputError
 from mrtask.homes.home import Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.rows import TRIPLE, vocabulary
@@ -41,7 +42,16 @@ class LikelihoodTable:
 
 
 def build_table(model: LikelihoodModel, homes: Iterable[Home], extra_objects: Iterable[str] = ()) -> LikelihoodTable:
-    """Return the table of all container kinds in the homes by all objects and ``extra_objects``, in one prediction."""
+    """Return the table of all container kinds in the homes by all objects and ``extra_objects``, in one prediction.
+
+    Raises:
+        InputError: the model has no method `predict`.
+    """
+    if not callable(getattr(model, "predict", None)):
+        raise InputError(
+            f"a likelihood is a model with a method predict(names), not a {type(model).__name__}; fit_on_homes(homes) "
+            "makes one, and so does FunctionModel(function) of a function of object, container and room"
+        )
     homes = list(homes)
     kinds = tuple(sorted({kind for home in homes for kind in home.container_kinds()}))
     objects = tuple(sorted({*vocabulary(homes), *extra_objects}))

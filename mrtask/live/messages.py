@@ -5,13 +5,16 @@ a VDA 5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action s
 NavigateToPose: SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the
 previous one. Every event has an ``id`` that the sender chose and the time at which it happened, in seconds on one clock
 for all.
+
+Fields that a message is not known to have are ignored, and later versions only add optional ones, so that clients and
+live teams of different age understand each other.
 """
 
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 MAX_NAME = 200
 MAX_LISTED = 1000
 MAX_TIME_S = 1e9
@@ -27,7 +30,7 @@ Outcome = Literal["FINISHED", "FAILED"]
 class Message(BaseModel):
     """Anything on the wire."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
 
 class _Event(Message):

@@ -1,5 +1,8 @@
 """Save a live team's state as one versioned JSON text, and restore it in another process.
 
+States of version 1, which know nothing of searches that err, are read too. Unknown fields are ignored, and fields that
+are added later are optional.
+
 What does not change (home, task, planner) is not in the text; a fingerprint of it is, so that no state is restored into
 another task. Routes are planned again: the same map and the same start give the same route.
 """
@@ -22,6 +25,7 @@ from mrtask.live.state import LiveSetup
 from mrtask.planning.problem import Assignment
 
 STATE_VERSION: Final = 2
+READ_VERSIONS: Final = (1, 2)
 
 
 class StateError(InputError):
@@ -29,7 +33,7 @@ class StateError(InputError):
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True)
 
 
 class _Robot(_Part):
@@ -50,16 +54,16 @@ class _Robot(_Part):
 
 
 class _State(_Part):
-    version: Literal[2]
+    version: Literal[1, 2]
     fingerprint: str
     time_s: float
     state: int
     news: bool
     searched: tuple[bool, ...]
     presence_prob: tuple[tuple[float, ...], ...]
-    posterior: tuple[tuple[float, ...], ...]
-    detected: tuple[tuple[bool, ...], ...]
-    searches: tuple[int, ...]
+    posterior: tuple[tuple[float, ...], ...] | None = None
+    detected: tuple[tuple[bool, ...], ...] | None = None
+    searches: tuple[int, ...] | None = None
     seen_s: tuple[tuple[float | None, ...], ...]
     robots: tuple[_Robot, ...]
     letters: tuple[Letter, ...]
@@ -144,8 +148,9 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
     """
     try:
         raw: Any = json.loads(text)
-        if isinstance(raw, dict) and raw.get("version") != STATE_VERSION:
-            raise StateError(f"the state is of version {raw.get('version')}, this program reads {STATE_VERSION}")
+        if isinstance(raw, dict) and raw.get("version") not in READ_VERSIONS:
+            readable = " and ".join(map(str, READ_VERSIONS))
+            raise StateError(f"the state is of version {raw.get('version')}, this program reads {readable}")
         state = _State.model_validate(raw)
     except (json.JSONDecodeError, ValidationError, RecursionError) as error:
         raise StateError(f"the state is damaged ({str(error).splitlines()[0]}); begin anew without it") from None
@@ -155,10 +160,13 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
     team = live.team
     belief = team.belief
     shape = belief.presence_prob.shape
-    belief.searched, belief.searches = np.array(state.searched), np.array(state.searches)
+    belief.searched = np.array(state.searched)
     belief.presence_prob = np.array(state.presence_prob, dtype=float).reshape(shape)
-    belief.posterior = np.array(state.posterior, dtype=float).reshape(shape)
-    belief.detected = np.array(state.detected, dtype=bool).reshape(shape)
+    posterior = state.presence_prob if state.posterior is None else state.posterior
+    belief.posterior = np.array(posterior, dtype=float).reshape(shape)
+    sure = (belief.presence_prob == 1.0) & belief.searched[:, None]
+    belief.detected = sure if state.detected is None else np.array(state.detected, dtype=bool).reshape(shape)
+    belief.searches = np.array(state.searched if state.searches is None else state.searches, dtype=np.int64)
     belief.failures = {(container, obj): count for container, obj, count in state.failures}
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version

@@ -8,16 +8,19 @@ A user's own planner needs no entry. Wherever a planner's name is expected, you 
 """
 
 import inspect
+import traceback
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
+from pathlib import Path
 
+from mrtask.errors import InputError
 from mrtask.planning.greedy import Greedy
 from mrtask.planning.myopic import LearnedMyopic, NonlearnedMyopic
 from mrtask.planning.paper.planner import PaperPouct
 from mrtask.planning.pouct import Known, Pouct
-from mrtask.planning.problem import Planner, PlanOnly
+from mrtask.planning.problem import Planner, PlanOnly, Plans
 
 PAPERS_PLANNER = "pouct_paper"
 """The planner that the paper proposes, by our name for it."""
@@ -89,16 +92,27 @@ def make_planner(name: str, options: Mapping[str, object] | None = None) -> Plan
     """Make the planner of that name or import path with the given options.
 
     Raises:
-        ValueError: the name is unknown, the import path leads nowhere, or the planner refuses the options.
+        InputError: the name is unknown, the import path leads to no planner, or the planner refuses the options.
     """
     factory = PLANNERS[name].planner if name in PLANNERS else _imported(name)
     try:
         planner = factory(**(options or {}))
     except (TypeError, ValueError) as error:
-        raise ValueError(
+        raise InputError(
             f"planner {name!r} refuses its options: {error}; it takes {inspect.signature(factory)}"
         ) from error
-    return planner if isinstance(planner, Planner) else PlanOnly(planner.plan)
+    except Exception as error:
+        raise InputError(f"planner {name!r} cannot be made: {_said(error)}") from error
+    return _as_planner(planner, f"planner {name!r}")
+
+
+def as_planner(planner: Plans | str) -> Planner:
+    """Return the planner with defaults for what it lacks, or the planner of that name or import path.
+
+    Raises:
+        InputError: it has no method `plan`, or `make_planner` refuses the name.
+    """
+    return make_planner(planner) if isinstance(planner, str) else _as_planner(planner, repr(planner))
 
 
 def planner_name(planner: Planner) -> str:
@@ -108,15 +122,37 @@ def planner_name(planner: Planner) -> str:
     return next(ours, f"{kind.__module__}.{kind.__qualname__}")
 
 
+def _as_planner(planner: Plans, called: str) -> Planner:
+    if isinstance(planner, type):
+        raise InputError(f"{called} is a class; call it to make a planner")
+    if isinstance(planner, Planner):
+        return planner
+    if not callable(getattr(planner, "plan", None)):
+        raise InputError(f"{called} has no method plan(problem, seed), which every planner needs")
+    return PlanOnly(planner.plan)
+
+
 def _imported(path: str) -> Callable[..., Planner]:
     module_name, dot, attribute = path.rpartition(".")
-    if not dot:
-        raise ValueError(
+    if not dot or not module_name.strip("."):
+        raise InputError(
             f"unknown planner {path!r}; allowed are {', '.join(PLANNERS)} or the import path of your own "
             "(package.module.name)"
         )
     try:
         factory: Callable[..., Planner] = getattr(import_module(module_name), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"planner {path!r} cannot be imported: {error}") from error
+    except Exception as error:  # importing runs the user's code, which may raise anything
+        raise InputError(f"planner {path!r} cannot be imported: {_said(error)}") from error
+    if not callable(factory):
+        raise InputError(f"planner {path!r} is no class or function, but {factory!r}")
     return factory
+
+
+def _said(error: Exception) -> str:
+    """Return an exception's message, with its kind and the line that raised it where the message leaves them out."""
+    if isinstance(error, (ImportError, AttributeError)):
+        return str(error)
+    if isinstance(error, SyntaxError):  # its message ends with the file and line
+        return f"{type(error).__name__}: {error}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"

@@ -164,6 +164,14 @@ class Planner(Protocol):
         ...
 
 
+class Plans(Protocol):
+    """The least that a planner must have."""
+
+    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
+        """Return the team's assignments."""
+        ...
+
+
 class PlanOnly:
     """A user's own planner that has only a `plan` method, wrapped as a `Planner`."""
 

@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrtask import Episode, FunctionModel, InputError, RobotSpec, make_planner, make_trial, run_episode
+from mrtask import (
+    Episode,
+    FunctionModel,
+    InputError,
+    RobotSpec,
+    make_planner,
+    make_trial,
+    run_episode,
+    run_experiment,
+)
 from mrtask.execution.perception import Perception, Rates
 from mrtask.planning.planners import PLANNERS
 
@@ -83,10 +92,31 @@ def test_a_planners_seeds_depend_on_its_name(two_room_home, two_room_map):
     assert not set(seeds[0]) & set(seeds[2])
 
 
-def test_a_name_in_place_of_a_planner_is_refused(two_room_home, two_room_map):
+def test_a_planners_name_stands_for_the_planner(two_room_home, two_room_map):
     trial = make_trial(two_room_home, two_room_map, TASK)
-    with pytest.raises(TypeError, match=r"method plan\(problem, seed\), not 'greedy'; make_planner makes one"):
-        run_episode(trial, two_room_home, two_room_map, PROBS, "greedy")
+    named = run_episode(trial, two_room_home, two_room_map, PROBS, "greedy")
+    assert untimed(named) == untimed(run_episode(trial, two_room_home, two_room_map, PROBS, make_planner("greedy")))
+
+
+def test_a_likelihood_that_is_no_model_is_refused(two_room_home, two_room_map):
+    trial = make_trial(two_room_home, two_room_map, TASK)
+    with pytest.raises(InputError, match=r"method predict\(names\), not a dict; fit_on_homes\(homes\) makes one"):
+        run_episode(trial, two_room_home, two_room_map, {"Egg": 0.5}, "greedy")
+
+
+def test_an_experiment_takes_one_planner_and_one_team_without_lists(two_room_home):
+    likely = FunctionModel(lambda obj, container, room: 0.3)
+
+    def rows(planners, robots):
+        return run_experiment([two_room_home], planners, likely, robots=robots, trials_per_cell=1).drop(
+            columns=["planning_s", "trace"]
+        )
+
+    expected = rows(["greedy"], [2])
+    assert list(expected["robots"]) == [2]
+    assert rows("greedy", 2).equals(expected) and rows({"greedy": "greedy"}, (2,)).equals(expected)
+    with pytest.raises(InputError, match=r"method predict\(names\), not a dict"):
+        run_experiment([two_room_home], "greedy", {"Egg": 0.5}, robots=2)
 
 
 def test_an_episode_asks_a_likelihood_model(two_room_home, two_room_map):

@@ -120,7 +120,7 @@ def test_truncated_rows_and_manifest_are_refused(made_up_dataset, tmp_path):
     (tmp_path / "manifest.json").write_text(json.dumps(json.loads(manifest) | {"format_version": 99}))
     with pytest.raises(DatasetError, match="format version 99, this code reads 1: rebuild it"):
         read_manifest(tmp_path)
-    with pytest.raises(DatasetError, match=r"no dataset in .*: run python -m pipeline.dataset"):
+    with pytest.raises(DatasetError, match=r"no dataset in .*: run mrtask dataset"):
         read_dataset(tmp_path / "elsewhere")
 
 

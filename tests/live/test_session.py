@@ -37,7 +37,6 @@ def told(session, line):
         ('{"type": "arrived", "id": "a", "time_s": 1.0, "robot": "r1"}', "container"),
         ('{"type": "robot_lost", "id": "a", "time_s": -1, "robot": "r1"}', "time_s"),
         ('{"type": "robot_lost", "id": "a", "time_s": NaN, "robot": "r1"}', "time_s"),
-        ('{"type": "robot_lost", "id": "a", "time_s": 1, "robot": "r1", "why": 1}', "why"),
         ('{"type": "route_blocked", "id": "a", "time_s": 1}', "give a door, or x_m and y_m"),
         ("[" * 100_000, "nested"),
         ('{"a":' * 7 + "1" + "}" * 7, "nested"),
@@ -51,6 +50,17 @@ def test_lines_that_are_no_message_are_refused_with_the_reason(session, line, sa
     assert (len(answers), news) == (1, [])
     assert answers[0]["status"] == "rejected" and said in answers[0]["reason"]
     assert answers[0]["event"] == ("a" if '"id": "a"' in line else None)
+
+
+def test_fields_of_later_versions_are_ignored(session):
+    session.begin()
+    later = {"type": "object_seen", "id": "a", "time_s": 1.0, "container": "no", "object": "Egg", "height_m": 1.2}
+    place = next(iter(session.live.containers))
+    batch = {"type": "batch", "events": [{**later, "container": place}], "because": {"of": []}}
+    answers, _ = told(session, json.dumps(batch))
+    assert [answer["status"] for answer in answers] == ["accepted"]
+    welcome, *_ = told(session, '{"type": "hello", "version": 3, "client": "c", "wants": ["video"]}')[0]
+    assert welcome["version"] == 2
 
 
 def test_every_message_has_its_schema_and_keeps_to_it(session):

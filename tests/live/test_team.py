@@ -270,12 +270,26 @@ def test_a_state_saved_at_any_moment_goes_on_the_same(two_room_home, two_room_ma
     assert save(restore(broken.setup, save(broken))) == save(broken)
 
 
+def test_states_of_version_1_and_of_later_programs_are_read(two_room_home, two_room_map):
+    live = two_robots(two_room_home, two_room_map)
+    begin(live)
+    for name, found in (("r1", ["Egg"]), ("r2", [])):
+        one(live, "search_ended", 3.0, robot=name, container=target_of(live, name), objects=found)
+    raw = json.loads(save(live))
+    later = {**raw, "weather": "fine", "robots": [{**robot, "battery": 1} for robot in raw["robots"]]}
+    first = {**raw, "version": 1}
+    for field in ("posterior", "detected", "searches"):
+        del first[field]
+    for text in (json.dumps(later), json.dumps(first)):
+        assert save(restore(live.setup, text)) == save(live)
+
+
 def test_states_of_another_task_or_version_are_refused(live, two_room_home, two_room_map):
     text = save(live)
     other = two_robots(two_room_home, two_room_map, formula="F Egg | F Pillow")
     with pytest.raises(StateError, match="another home, map or task"):
         restore(other.setup, text)
-    with pytest.raises(StateError, match="of version 99, this program reads 2"):
+    with pytest.raises(StateError, match="of version 99, this program reads 1 and 2"):
         restore(live.setup, text.replace('"version":2', '"version":99', 1))
     with pytest.raises(StateError, match="damaged"):
         restore(live.setup, text[: len(text) // 2])

@@ -1,8 +1,11 @@
 """Planners by name and by class."""
 
+import sys
+
 import pytest
 
-from mrtask.planning.planners import PLANNERS, make_planner, planner_name
+from mrtask.errors import InputError
+from mrtask.planning.planners import PLANNERS, as_planner, make_planner, planner_name
 from mrtask.planning.problem import Plan, PlanOnly
 
 
@@ -46,5 +49,35 @@ def test_an_unknown_option_is_refused_with_all_that_the_planner_takes(name):
         "known": r"samples: int = 100000, .*later_weight: float = 0\.3, reassign: str = 'all'",
         f"{__name__}.Own": r"pace=1\.0",
     }[name]
-    with pytest.raises(ValueError, match=rf"planner '{name}' refuses its options: .*'smaples'; it takes \({takes}\)"):
+    with pytest.raises(InputError, match=rf"planner '{name}' refuses its options: .*'smaples'; it takes \({takes}\)"):
         make_planner(name, {"smaples": 5})
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("def plan(:", r"cannot be imported: SyntaxError: .*\(wrong_planner.py, line 1\)"),
+        ("x = 1\ny = z", r"cannot be imported: NameError: name 'z' is not defined \(wrong_planner.py, line 2\)"),
+        ("import nothing_of_this_name", "cannot be imported: No module named 'nothing_of_this_name'"),
+        ("class Other: pass", "cannot be imported: module 'wrong_planner' has no attribute 'Wrong'"),
+        ("class Wrong: pass", r"has no method plan\(problem, seed\), which every planner needs"),
+        ("Wrong = 3", "is no class or function, but 3"),
+        ("class Wrong:\n def __init__(self): {}[4]", r"cannot be made: KeyError: 4 \(wrong_planner.py, line 2\)"),
+        ("class Wrong:\n plan = 4", "has no method plan"),
+    ],
+)
+def test_a_file_without_a_planner_is_refused_in_one_message(tmp_path, monkeypatch, code, message):
+    (tmp_path / "wrong_planner.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "wrong_planner", raising=False)
+    with pytest.raises(InputError, match=f"^planner 'wrong_planner.Wrong' {message}"):
+        make_planner("wrong_planner.Wrong")
+
+
+def test_whatever_is_no_planner_is_refused_with_what_a_planner_needs():
+    with pytest.raises(InputError, match=r"^4 has no method plan\(problem, seed\)"):
+        as_planner(4)
+    with pytest.raises(InputError, match=r"Own'> is a class; call it to make a planner"):
+        as_planner(Own)
+    with pytest.raises(InputError, match=r"unknown planner '\.\.'"):
+        as_planner("..")
