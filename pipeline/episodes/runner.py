@@ -119,7 +119,7 @@ class _Posts:
         if time.monotonic() - self._posted_s >= POST_EVERY_S:
             self._posted_s = time.monotonic()
             record = self._record("running")
-            self._writer.post(lambda: record.write(self._folder, PROGRESS))
+            self._writer.post(lambda: self._folder.write(PROGRESS, record.to_json(), patient=False))
         if time.monotonic() - self._logged_s >= LOG_EVERY_S:
             self._logged_s = time.monotonic()
             saved = self._tally.saved

@@ -78,6 +78,7 @@ class Folder:
     def _do(self, problem: str, act: Callable[[Any, str], Result], advice: str = "", *, patient: bool = True) -> Result:
         """Return ``act(filesystem, path)``; a store that a run has begun to use is asked again for `PATIENCE_S`."""
         began_s = time.monotonic()
+        silent = (self._store, problem.split()[1])
         while True:
             try:
                 with self._opened(problem, advice) as (filesystem, path):
@@ -85,11 +86,11 @@ class Folder:
             except UserError as error:
                 if not (patient and self._in_use) or time.monotonic() - began_s >= PATIENCE_S:
                     raise
-                _say_silent(self._store, error)
+                _say_silent(silent, error)
                 time.sleep(RETRY_EVERY_S)
             else:
                 if not self.is_local:
-                    _say_answers(self._store)
+                    _say_answers(silent)
                 return result
 
     @property
@@ -180,22 +181,22 @@ class Folder:
 
 _leased_here: set[str] = set()
 """The locations in stores that this process has begun to write to."""
-_silent: set[str] = set()
-"""The stores that did not take or give something, and have not answered since."""
+_silent: set[tuple[str, str]] = set()
+"""The stores that did not write, read, ... something, and have not since."""
 
 
-def _say_silent(store: str, error: UserError) -> None:
-    if store not in _silent:
-        _silent.add(store)
+def _say_silent(what: tuple[str, str], error: UserError) -> None:
+    if what not in _silent:
+        _silent.add(what)
         console.line(
             f"{error}; the run goes on, keeps its rows and tries again for up to {console.duration(PATIENCE_S)}"
         )
 
 
-def _say_answers(store: str) -> None:
-    if store in _silent:
-        _silent.discard(store)
-        console.line(f"{store} answers again")
+def _say_answers(what: tuple[str, str]) -> None:
+    if what in _silent:
+        _silent.discard(what)
+        console.line(f"{what[0]} answers again")
 
 
 @contextmanager

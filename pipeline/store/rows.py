@@ -67,6 +67,8 @@ class EpisodeWriter:
         self._flushed_s = time.monotonic()
         self._unsent = Folder(str(unsent)) if unsent is not None and not folder.is_local else None
         self._courier, self._errand = _Courier(), cast(_Errand | None, None)
+        self._posted = _Errand([], lambda: None)
+        self._posted.ended.set()
         self._given_up = False
         self._small = _finish_merges(folder)
         if self._unsent is not None:
@@ -102,7 +104,12 @@ class EpisodeWriter:
         if not rows:
             return
         if self._folder.is_local:
-            self._store(rows)
+            try:
+                self._write_part(rows)
+            except UserError:
+                self._pending = [*rows, *self._pending]
+                raise
+            self._merge_if_many()
         else:
             self._errand = _Errand(rows, partial(self._store, rows))
             self._courier.send(self._errand)
@@ -121,11 +128,15 @@ class EpisodeWriter:
         self._courier.dismiss()
 
     def post(self, write: Callable[[], None]) -> None:
-        """Write something beside the rows: at once, or in a store by the thread, unless that is busy."""
+        """Write something beside the rows: at once, or in a store by the thread, unless that is busy.
+
+        What a store does not take is left out.
+        """
         if self._folder.is_local:
             write()
-        elif self._errand is None and not self._given_up:
-            self._courier.send(_Errand([], write))
+        elif self._errand is None and self._posted.ended.is_set():
+            self._posted = _Errand([], write)
+            self._courier.send(self._posted)
 
     def flush_soon(self) -> None:
         """Write the rest within the few seconds that a scheduler leaves; a store that is slower gets it later."""
@@ -139,6 +150,8 @@ class EpisodeWriter:
 
     def settle(self, end_s: float = math.inf) -> None:
         """Wait for what is being written; what is not by ``end_s`` goes to the local folder."""
+        while not self._posted.ended.wait(WAIT_S) and time.monotonic() < end_s:
+            pass
         while self._errand is not None and time.monotonic() < end_s:
             self._errand.ended.wait(WAIT_S)
             self._collect()
@@ -190,7 +203,13 @@ class EpisodeWriter:
             unsent.remove(name)
 
     def _store(self, rows: Sequence[EpisodeRow]) -> None:
+        self._write_part(rows)
+        self._merge_if_many()
+
+    def _write_part(self, rows: Sequence[EpisodeRow]) -> None:
         self._small.append(_write(self._folder, "part", _table(rows)))
+
+    def _merge_if_many(self) -> None:
         if len(self._small) >= MERGE_PARTS:
             self._merge()
 
