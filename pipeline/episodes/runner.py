@@ -82,8 +82,7 @@ def run_episodes(
         writer.close()
         posts.end("failed", str(error))
         raise HeadLost(
-            f"{error}; {posts.done} of {len(plan.keys)} episodes are safe in {plan.spec.output_dir}. Start the cluster "
-            "again, then the same command continues from there"
+            f"{error}; {posts.done} of {len(plan.keys)} episodes are safe in {plan.spec.output_dir}"
         ) from error
     except KeyboardInterrupt:
         writer.flush_soon()
