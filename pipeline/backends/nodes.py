@@ -88,8 +88,8 @@ class Nodes:
             where = f"the head of the Ray cluster at {self._head[0]}:{self._head[1]}"
             if silent_s >= HEAD_SILENT_S:
                 raise HeadLost(
-                    f"{where} has not answered for {console.duration(silent_s)} ({error}). Start the cluster again, then "
-                    "the same command continues"
+                    f"{where} has not answered for {console.duration(silent_s)} ({error}). Start the cluster again, "
+                    "then the same command continues"
                 ) from error
             if not self._silent:
                 console.line(f"{where} does not answer; the run waits for it")
