@@ -23,8 +23,7 @@ _requested = False
 
 def ends_imports() -> None:
     """Let an interrupt end the process with one line from now on; nothing needs tidying up yet."""
-    for number in SIGNALS:
-        signal.signal(number, _leave)
+    signal.signal(signal.SIGINT, _leave)
 
 
 @contextmanager
