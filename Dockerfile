@@ -12,7 +12,9 @@ WORKDIR /mrtask
 
 COPY . .
 # KubeRay runs `ray` and `mrtask` in a login shell, which knows no other PATH than the system's.
-RUN make install && ln -s /mrtask/.venv/bin/ray /mrtask/.venv/bin/mrtask /usr/local/bin/
+RUN make install && .venv/bin/python -m uv pip install --python .venv/bin/python --constraint constraints.txt \
+        --editable '.[cluster,s3]' && \
+    ln -s /mrtask/.venv/bin/ray /mrtask/.venv/bin/mrtask /usr/local/bin/
 
 ENTRYPOINT ["make", "--no-print-directory"]
 CMD ["reproduce", "EXPERIMENT=smoke"]

@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LOG := $(VENV)/install.log
 PIP := $(BIN)/python -m pip
-EVERYTHING := --constraint constraints.txt --editable '.[cluster,dev,pipeline,ros,s3,sim]'
+EVERYTHING := --constraint constraints.txt --editable '.[dev,pipeline,ros,s3,sim]'
 # uv takes a fifth of the time that pip takes. Told nothing itself, it looks where pip is told to; where it fails, pip tries.
 told = UV_$(1)="$${UV_$(1):-$${PIP_$(1):-$$($(PIP) config get global.$(2) 2>/dev/null)}}"
 UV := $(call told,INDEX_URL,index-url) $(call told,EXTRA_INDEX_URL,extra-index-url) $(call told,FIND_LINKS,find-links) \
