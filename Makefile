@@ -62,8 +62,12 @@ docs: $(STAMP)  ## build the documentation site into build/site
 	@$(BIN)/mkdocs build --strict --quiet $(ARGS)
 
 dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http://127.0.0.1:5000)
+	@echo "runs:   http://127.0.0.1:$(PORT)/#/experiments/1/runs?workflowType=machine_learning"
+	@echo "models: http://127.0.0.1:$(PORT)/#/models?workflowType=machine_learning"
 	@MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --workers 1 \
 		--backend-store-uri sqlite:///$(CURDIR)/outputs/mlflow.db $(ARGS)
+
+PORT = $(or $(shell echo '$(ARGS)' | sed -n 's/.*--port[= ]*\([0-9]*\).*/\1/p'),5000)
 
 clean-cache:  ## remove cached maps, embeddings and compiled kernels
 	@$(BIN)/python -m pipeline.store.cache

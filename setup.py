@@ -3,7 +3,8 @@
 A checkout has two packages, ``mrtask`` and ``pipeline``. Installed beside other software, a top-level package with
 such a common name could overwrite another one or be overwritten. So the wheel holds ``mrtask`` alone: ``pipeline``
 becomes ``mrtask.pipeline``, renamed in all its files, and ``conf`` becomes data of the package. Messages that name
-``python -m pipeline.train`` name ``mrtask train`` instead. Checkouts and editable installations do not change. tests/test_wheel.py builds a wheel and runs it.
+``python -m pipeline.train`` name ``mrtask train`` instead. Checkouts and editable installations do not change.
+tests/test_wheel.py builds a wheel and runs it.
 """
 
 import re

@@ -74,7 +74,7 @@ def run_trial(task: tuple[Trial, Home, Beliefs, int]) -> dict[str, object]:
     """Return the cost of one trial under every belief; NaN if the task could not be done."""
     trial, home, beliefs, samples = task
     home_map = map_of(home)
-    row: dict[str, object] = {"size_class": trial.size_class}
+    row: dict[str, object] = {"size_class": trial.size_class, "home_id": home.id}
     for name in (UNIFORM, *beliefs.tables, TRUTH):
         planner = "known" if name == TRUTH else "pouct"
         likelihood = beliefs.likelihood(name, home, trial.objects)
@@ -119,7 +119,7 @@ def main() -> None:
     baseline = "frequency" if "frequency" in tables else UNIFORM
     print(f"\nsaving against {baseline} in percent, with its 95 % interval; trials better, equal, worse; p (Wilcoxon)")
     for belief in (name for name in names if name != baseline):
-        found = compare(finished[belief].to_numpy(), finished[baseline].to_numpy())
+        found = compare(finished[belief].to_numpy(), finished[baseline].to_numpy(), list(finished["home_id"]))
         saved = found.improvement
         print(
             f"{belief:15} {saved.value:6.2f} ({saved.low:.2f} to {saved.high:.2f})   "

@@ -234,9 +234,11 @@ def main() -> None:
         .div(frame.groupby("planner")["decisions"].sum(), axis=0)
     )
     print(frame.groupby("planner")["cost_s"].agg(["count", "mean"]).join(per_decision).sort_values("mean").round(3))
+    home_of = {trial.trial_id: trial.home_id for trial in chosen}
     costs = paired_costs(frame.rename(columns={"trial": "trial_id"}))
+    homes = [home_of[trial] for trial in costs.index]
     for name in costs.columns.drop("pouct"):
-        saved = improvement_percent(costs["pouct"].to_numpy(), costs[name].to_numpy())
+        saved = improvement_percent(costs["pouct"].to_numpy(), costs[name].to_numpy(), homes)
         print(f"pouct over {name}: {saved.value:.1f} % ({saved.low:.1f}, {saved.high:.1f})")
 
 

@@ -67,6 +67,9 @@ def _union(name: str, field: FieldInfo) -> Iterator[str]:
     kinds = {_kind(model): model for model in _members(field.annotation)}
     for path in sorted((CONF / name).glob("*.yaml")):
         defaults = _defaults(path)
+        if not {"source", "kind"} & defaults.keys():  # it chooses another file of the group and sets keys elsewhere
+            yield f"### {name}={path.stem}\n\n{_file_comment(path)}\n"
+            continue
         chosen = str(defaults["source" if "source" in defaults else "kind"][0])
         model = next(model for kind, model in kinds.items() if chosen in kind)
         yield f"### {name}={path.stem}\n"
@@ -139,7 +142,8 @@ def _file_comment(path: Path) -> str:
     for line in path.read_text().splitlines():
         if not line.startswith("#"):
             break
-        lines.append(line.removeprefix("#").strip())
+        if "@package" not in line:
+            lines.append(line.removeprefix("#").strip())
     return _escaped(" ".join(lines))
 
 

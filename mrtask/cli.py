@@ -81,13 +81,8 @@ def main() -> None:
 def usage(known: Mapping[str, Command]) -> str:
     """Return a line for each command."""
     lines = [f"  mrtask {name:11} {command.text}" for name, command in known.items()]
-    return "\n".join(
-        [
-            "usage: mrtask COMMAND [KEY=VALUE ...]",
-            *lines,
-            "mrtask COMMAND --help says more, mrtask --version which version this is",
-        ]
-    )
+    more = "mrtask COMMAND --help says more, and mrtask --version which version this is"
+    return "\n".join(["usage: mrtask COMMAND [KEY=VALUE ...]", *lines, more])
 
 
 if __name__ == "__main__":

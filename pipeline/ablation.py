@@ -6,13 +6,18 @@ them; "authors - x" without one; and the steps from the paper's text to our plan
 `pipeline.arms` says how arms share evaluations.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.ablation")
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate
 
 from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
-from pipeline.app.main import main
+from pipeline import evaluate
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Comparison, SharedRun, lay_out
 from pipeline.base.config import Config
@@ -78,7 +83,4 @@ def _arm_rows(shared: SharedRun, arms: Sequence[Protocol]) -> Iterator[ArmRows]:
         yield ArmRows(name, of_arm, arm.overrides, arm.in_detail, arm.is_step, arm.against)
 
 
-STAGE = Stage(job)
-
-if __name__ == "__main__":
-    main("pipeline.ablation")
+STAGE = Stage(job, evaluate.check)

@@ -13,11 +13,13 @@ from dataclasses import asdict, dataclass, field
 
 import pandas as pd
 
+from mrtask.names import counted
 from pipeline import evaluate
 from pipeline.app.stage import Session
 from pipeline.base import console
 from pipeline.base.config import Config, UserError, content_hash, with_overrides
 from pipeline.base.sections import OtherLikelihood, PlannerVariant
+from pipeline.episodes.outcome import NeverSucceeded
 from pipeline.episodes.plan import WHICH_ROWS
 from pipeline.store.folder import Folder
 from pipeline.store.layout import EPISODES, REPORT_INDEX, RUNS
@@ -96,16 +98,28 @@ class Comparison:
 
     @property
     def _text(self) -> str:
-        return f"{sum(len(one.arms) for one in self.shared)} arms in {len(self.shared)} evaluations"
+        return (
+            f"{counted(sum(len(one.arms) for one in self.shared), 'arm')} in {counted(len(self.shared), 'evaluation')}"
+        )
 
     def run(self, session: Session) -> None:
-        """Run the evaluations and write the page."""
+        """Run the evaluations and write the page.
+
+        Raises:
+            NeverSucceeded: no episode of an arm's planner was accepted; the page shows the others all the same.
+        """
         began_s = time.monotonic()
         console.headline(self.what, self._text)
+        failed: list[NeverSucceeded] = []
         for one in self.shared:
-            evaluate.STAGE.start(one.configured(), session)
+            try:
+                evaluate.STAGE.start(one.configured(), session)
+            except NeverSucceeded as error:
+                failed.append(error)
         self.target.write(REPORT_INDEX, self.render(self.shared, session).encode())
         console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
+        if failed:
+            raise NeverSucceeded("\n".join(map(str, failed)))
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say what would run, with a pilot of each evaluation."""

@@ -4,11 +4,15 @@ The rows go to ``<datasets_dir>/rows`` as Parquet with a manifest and a data car
 split or code have changed.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.dataset")
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base.specs import HomesSpec
 from pipeline.inputs import homes, rows
@@ -31,6 +35,3 @@ class DatasetJob:
 
 
 STAGE = Stage(lambda config: DatasetJob(config.homes_spec), locks="never")
-
-if __name__ == "__main__":
-    main("pipeline.dataset")

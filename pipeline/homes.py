@@ -6,10 +6,14 @@ homes.map=lab.yaml homes.containers=containers.yaml. draw=true draws floor plans
 any of them with what people put where.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.homes")
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base.specs import HomesSpec, MapOptions
 from pipeline.inputs import homes
@@ -45,6 +49,3 @@ STAGE = Stage(
     ),
     locks="to draw",
 )
-
-if __name__ == "__main__":
-    main("pipeline.homes")

@@ -5,6 +5,11 @@ about the test objects. Leaves ``<output_dir>/housekeep.csv``. ``map`` is Housek
 over pairs of object and room), ``map_val`` that on the validation objects, by which choices are made.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.housekeep")
+
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +21,6 @@ from mrtask.likelihood.dataset import read_dataset
 from mrtask.likelihood.housekeep import PUBLISHED, mean_average_precision, predict_votes, vote_triples
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import fit, score
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.base import console, interrupt
 from pipeline.base.config import Config, UserError
@@ -90,6 +94,3 @@ def measure(
 
 
 STAGE = Stage(job)
-
-if __name__ == "__main__":
-    main("pipeline.housekeep")

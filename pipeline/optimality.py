@@ -4,6 +4,11 @@ Each trial is run in worlds drawn from its own belief; see `mrtask.bounds.assess
 ``<output_dir>/optimality.csv``, which pipeline.report shows. Run again, it computes only the trials that are missing.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.optimality")
+
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +18,8 @@ import pandas as pd
 
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.statistics import Estimate, cell_name
-from pipeline.app.main import main
+from mrtask.names import counted
+from pipeline import evaluate
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import ItemError, Pool
 from pipeline.base import console
@@ -54,7 +60,7 @@ class Work:
     def text(self) -> str:
         """``90 trials, each in 100 worlds, model version 1``."""
         version = self.context.provenance.model_version
-        return f"{len(self.keys)} trials, each in {self.worlds} worlds, model version {version}"
+        return f"{counted(len(self.keys), 'trial')}, each in {self.worlds} worlds, model version {version}"
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class OptimalityJob:
         try:
             work = self._work(session.pool)
         except NotMade as missing:
-            yield f"would assess {self.options.trials_per_cell} trials a cell; {missing}"
+            yield f"would assess {counted(self.options.trials_per_cell, 'trial')} a cell; {missing}"
         else:
             yield f"would assess {work.text}; {len(work.finished)} are done"
 
@@ -138,7 +144,6 @@ def _percent(estimate: Estimate) -> str:
     return f"{estimate.value:.1f} %{interval}"
 
 
-STAGE = Stage(lambda config: OptimalityJob(config.evaluation_spec(config.optimality.planners), config.optimality))
-
-if __name__ == "__main__":
-    main("pipeline.optimality")
+STAGE = Stage(
+    lambda config: OptimalityJob(config.evaluation_spec(config.optimality.planners), config.optimality), evaluate.check
+)

@@ -6,6 +6,11 @@ other in a home (evaluation.tasks_per_home). All priors run the same trials. One
 share evaluations stands in `pipeline.arms`.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.priors")
+
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +23,7 @@ from mrtask.analysis.studies.calibration import Task, searched_in
 from mrtask.analysis.studies.prior_page import render_priors
 from mrtask.analysis.studies.prior_study import TRUTH, ArmRows
 from mrtask.execution.trace import Trace
-from pipeline.app.main import main
+from pipeline import evaluate, train
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Comparison, SharedRun, lay_out, slug
 from pipeline.backends import registry
@@ -33,7 +38,6 @@ from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder
 from pipeline.store.layout import BELIEFS, REPORT
 from pipeline.store.rows import read_episodes, read_traces
-from pipeline.train import TrainJob
 
 WHAT = "priors"
 UNTRAINED = {"uniform": "likelihood.uniform_mix=1.0", TRUTH: "likelihood.source=truth"}
@@ -59,7 +63,7 @@ class PriorsJob:
     """The models to train first, by the contents of their homes, and how to compare the arms with their versions."""
 
     options: Priors
-    trainings: Mapping[str, TrainJob]
+    trainings: Mapping[str, train.TrainJob]
     compare: Callable[[Mapping[str, str]], Comparison]
 
     def run(self, session: Session) -> None:
@@ -91,7 +95,7 @@ def job(config: Config) -> PriorsJob:
     options = config.priors
     trained_on: dict[str, None] = dict.fromkeys([*options.trained_on, *(options.contents if options.others else ())])
     homes = {name: with_overrides(config, [f"homes.contents={name}"]).homes_spec for name in trained_on}
-    trainings = {name: TrainJob(one, config.training_spec) for name, one in homes.items()}
+    trainings = {name: train.TrainJob(one, config.training_spec) for name, one in homes.items()}
     return PriorsJob(options, trainings, partial(_comparison, config))
 
 
@@ -172,7 +176,10 @@ def _beliefs(own: pd.DataFrame, planner: str, episodes: Folder, context: Context
     return pd.concat([beliefs for _, beliefs in found]).sort_values(["trial_id", "pair"], ignore_index=True)
 
 
-STAGE = Stage(job)
+def check(config: Config) -> None:
+    """Refuse what trainings or evaluations would refuse."""
+    train.check(config)
+    evaluate.check(config)
 
-if __name__ == "__main__":
-    main("pipeline.priors")
+
+STAGE = Stage(job, check)

@@ -5,6 +5,11 @@ homes=generated with the same seed and numbers. Leaves ``<output_dir>/realism/ho
 draw=true also a gallery of both.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.realism")
+
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +21,6 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.dataset import Dataset, read_dataset
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.likelihood.training import score, train_model
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import console, interrupt
@@ -129,6 +133,3 @@ def _describe(number: int, members: Sequence[Home], maps: MapOptions) -> Describ
 
 
 STAGE = Stage(job)
-
-if __name__ == "__main__":
-    main("pipeline.realism")

@@ -6,6 +6,11 @@ The trial runs again with the configuration that output_dir records, and the res
 ``<output_dir>/replays/<trial_id>.html`` and needs no network.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.replay", {"trial_id": "replay.trial_id", "planners": "replay.planners"})
+
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,11 +25,12 @@ from mrtask.analysis.drawing.replay_page import render_replay
 from mrtask.analysis.drawing.trajectories import baseline_beside
 from mrtask.analysis.results.roles import main_planner
 from mrtask.execution.trace import Trace
+from mrtask.names import suggest
 from mrtask.tasks.automaton import build_automaton
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
+from pipeline.backends import runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError, suggest
+from pipeline.base.config import Config, UserError
 from pipeline.base.specs import EvaluationSpec
 from pipeline.base.studies import Replay
 from pipeline.episodes.plan import EvaluationPlan, covering, prepare
@@ -193,7 +199,4 @@ def _why_unequal(row: Row, again: EpisodeRow, unequal: list[str], plan: Evaluati
     return f"{row['planner']} on {row['trial_id']} does not replay to the stored episode ({shown}): {reason}"
 
 
-STAGE = Stage(job, shorthands={"trial_id": "replay.trial_id", "planners": "replay.planners"})
-
-if __name__ == "__main__":
-    main("pipeline.replay")
+STAGE = Stage(job, runs.check_store)

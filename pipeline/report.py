@@ -5,27 +5,32 @@ Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every f
 On the output_dir of a sweep it compares the sweep's cells.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.report")
+
 import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from mrtask.analysis.report.real_world import APARTMENTS, scenario_name, simulated_trial
-from mrtask.analysis.report.report_page import TrialsToDraw, render_report, trials_to_draw, write_report
-from mrtask.analysis.report.search_curves import BUDGET
+from mrtask.analysis.results.episodes import BUDGET
 from mrtask.analysis.results.published import load_published
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
-from pipeline.app.main import main
+from mrtask.names import counted
 from pipeline.app.stage import Session, Stage
 from pipeline.backends import runs
 from pipeline.base import console
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Tracking
+from pipeline.episodes import outcome
 from pipeline.store import layout
 from pipeline.store.episode_row import TRACE
 from pipeline.store.folder import Folder
@@ -43,6 +48,9 @@ from pipeline.store.layout import (
 from pipeline.store.records import EvaluatedHomes, EvaluationManifest, ReportKey, RunIdentity, StageTimes
 from pipeline.store.rows import read_csv, read_episodes, read_traces
 from pipeline.store.version import source_hash
+
+if TYPE_CHECKING:
+    from mrtask.analysis.report.report_page import TrialsToDraw
 
 TABLE_ARTIFACT = "table.json"
 """In MLflow, whose page on several runs shows it side by side."""
@@ -73,7 +81,7 @@ class Collected:
         optimality = None if self.optimality is None else self.optimality.to_csv(index=False)
         return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis")]))
 
-    def with_traces(self, wanted: TrialsToDraw) -> pd.DataFrame:
+    def with_traces(self, wanted: "TrialsToDraw") -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
         keys = [name for name in ("sweep", "trial_id", "planner") if name in self.episodes.columns]
         traces = [
@@ -96,16 +104,26 @@ class ReportJob:
         return self.folder / REPORT
 
     def run(self, session: Session) -> None:
-        """Write the report on what the folder holds, unless it is up to date.
+        """Write the report on what the folder holds, and say in short what it shows.
+
+        Raises:
+            NeverSucceeded: no episode of a planner was accepted.
+        """
+        episodes = self.write(session)
+        outcome.say(episodes)
+        outcome.check(episodes)
+
+    def write(self, session: Session) -> pd.DataFrame:
+        """Write the report unless it is up to date; return the episodes that it is about.
 
         The MLflow run of the evaluation, or of the sweep whose cells are compared, gets a copy if the store has it.
         """
         began_s = time.monotonic()
         collected = collect(self.folder)
-        console.headline("report", f"{len(collected.episodes)} episodes")
+        console.headline("report", counted(len(collected.episodes), "episode"))
         if _is_current(collected, self.folder):
             console.skipped(self.target / REPORT_INDEX)
-            return
+            return collected.episodes
         of_sweep = session.cell.parent_run_id if not session.cell.text else None
         with tempfile.TemporaryDirectory() as temporary:
             table = _render(collected, Path(temporary))
@@ -113,6 +131,7 @@ class ReportJob:
             self._keep(of_sweep or collected.manifest.run_id, Path(temporary), table)
         collected.key.write(self.target, REPORT_KEY)
         console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
+        return collected.episodes
 
     def _keep(self, run_id: str, rendered: Path, table: pd.DataFrame) -> None:
         tracking = runs.open_tracking(self.tracking.uri, self.tracking.experiment_name)
@@ -128,7 +147,7 @@ class ReportJob:
         """Say on how many episodes the report would be."""
         collected = collect(self.folder)
         what = "is up to date" if _is_current(collected, self.folder) else "would be written"
-        yield f"the report on {len(collected.episodes)} episodes {what}: {self.target / REPORT_INDEX}"
+        yield f"the report on {counted(len(collected.episodes), 'episode')} {what}: {self.target / REPORT_INDEX}"
 
 
 def _is_current(collected: Collected, folder: Folder) -> bool:
@@ -208,6 +227,9 @@ def _apartments(folder: Folder) -> dict[str, dict[str, Any]]:
 
 def _render(collected: Collected, target: Path) -> pd.DataFrame:
     """Write the report's files, draw the most telling episodes, and return the table for machines."""
+    # Drawing takes seconds to import; a report that is up to date draws nothing.
+    from mrtask.analysis.report.report_page import render_report, trials_to_draw, write_report
+
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
@@ -225,7 +247,4 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking))
-
-if __name__ == "__main__":
-    main("pipeline.report")
+STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking), runs.check_store)

@@ -25,7 +25,8 @@ from mrtask.execution.episode import EpisodeResult, run_episode
 from mrtask.execution.scenario import Scenario, drawn_worlds, make_scenario
 from mrtask.execution.team_spec import Team
 from mrtask.execution.trials import key_seed
-from mrtask.maps.ros_map import read_map_worlds
+from mrtask.maps.ros_map import map_worlds, scan_floor
+from mrtask.names import counted
 from mrtask.planning.planners import Role, make_planner, planner_role, planners_in_order
 from mrtask.tasks.automaton import build_automaton
 from pipeline.app.map_task import ScenarioOptions, scenario_files
@@ -42,7 +43,10 @@ def run(arguments: Sequence[str]) -> None:
     given = overrides(arguments, VERBATIM)
     options = load_options(ScenarioOptions, scenario_files(given, "scenario.yaml"), given)
     folder = options.output_dir / (options.name or options.map.stem)
-    home = read_map_worlds(options.map, options.containers, 1, options.seed)[0]
+    console.headline("map", options.map.name)
+    scan = scan_floor(options.map, options.containers)
+    console.text("\n".join(scan.told))
+    [home] = map_worlds(scan, 1, options.seed)
     scenario = make_scenario(
         options.name or options.map.stem,
         home,
@@ -57,10 +61,10 @@ def run(arguments: Sequence[str]) -> None:
     trial = scenario.trial
     console.headline("scenario", f"{trial.trial_id}: {options.task}")
     console.line(f"formula {trial.formula}")
-    console.line(
-        f"{len(home.containers)} containers, {home.area_m2:.0f} m2, {options.robots} robots from "
-        "({:.1f}, {:.1f})".format(*scenario.home_map.cell_center(trial.start_cell))
-    )
+    x, y = scenario.home_map.cell_center(trial.start_cell)
+    console.line(f"{counted(options.robots, 'robot')} from ({x:.1f}, {y:.1f})")
+    if out_of_reach := scenario.home_map.out_of_reach(home):
+        console.line(f"warning: {out_of_reach}")
     console.text("\n".join(likelihoods(scenario)))
     recorders = {name: Recorder() for name in planners_in_order(options.planners)}
     results = {
@@ -69,7 +73,7 @@ def run(arguments: Sequence[str]) -> None:
     }
     console.text("\n".join(table(results, _published(options.published))))
     if worlds := drawn_worlds(scenario, options.drawn_worlds, options.seed):
-        console.line(f"over {len(worlds)} worlds drawn from these likelihoods")
+        console.line(f"over {counted(len(worlds), 'world')} drawn from these likelihoods")
         in_worlds = [replace(scenario, home=world) for world in worlds]
         means = {name: [_run(world, name, options, 0, None) for world in in_worlds] for name in results}
         console.text("\n".join(table(means, None)))

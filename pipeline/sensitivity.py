@@ -7,11 +7,16 @@ whose values are numbers. The page is ``<output_dir>/sensitivity/index.html``. `
 evaluations; run again with more trials or values, the stage adds what is missing.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.sensitivity")
+
 from collections.abc import Sequence
 from functools import partial
 
 from mrtask.analysis.studies.sensitivity import COMPARED, Curve, Point, render_sensitivity
-from pipeline.app.main import main
+from pipeline import evaluate
 from pipeline.app.stage import Session, Stage
 from pipeline.arms import Arm, Comparison, SharedRun, lay_out
 from pipeline.base.config import Config
@@ -45,7 +50,4 @@ def _arm(factor: Factor, value: float) -> Arm:
     return f"{factor.name} {text}", (f"{factor.key}={text}",)
 
 
-STAGE = Stage(job)
-
-if __name__ == "__main__":
-    main("pipeline.sensitivity")
+STAGE = Stage(job, evaluate.check)

@@ -4,11 +4,17 @@ It is registered as ``container-object-likelihood``. The first model takes the a
 beating the present champion. A model is trained again only when dataset, model, options or code have changed.
 """
 
+from pipeline.app.main import main
+
+if __name__ == "__main__":
+    main("pipeline.train")
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pipeline.app.main import main
 from pipeline.app.stage import Session, Stage
+from pipeline.backends import runs
+from pipeline.base.config import Config
 from pipeline.base.specs import HomesSpec, TrainingSpec
 from pipeline.dataset import DatasetJob
 from pipeline.inputs import homes, rows, training
@@ -24,7 +30,6 @@ class TrainJob:
 
     def run(self, session: Session) -> TrainedModelRecord:
         """Return the record of the trained model."""
-        training.check(self.training)
         return training.train(DatasetJob(self.homes).run(session), self.training)
 
     def found(self) -> TrainedModelRecord:
@@ -33,13 +38,15 @@ class TrainJob:
 
     def outline(self, session: Session) -> Iterator[str]:
         """Say which model would be trained on which homes."""
-        training.check(self.training)
         yield from DatasetJob(self.homes).outline(session)
         what = self.training.what
         yield f"would train {what} on the rows of the training homes, and register it, unless that is done"
 
 
-STAGE = Stage(lambda config: TrainJob(config.homes_spec, config.training_spec), locks="never")
+def check(config: Config) -> None:
+    """Refuse an embedding or a device that is not there, and a store that cannot be used."""
+    training.check(config.training_spec)
+    runs.check_store(config)
 
-if __name__ == "__main__":
-    main("pipeline.train")
+
+STAGE = Stage(lambda config: TrainJob(config.homes_spec, config.training_spec), check, locks="never")

@@ -1,6 +1,10 @@
 """Derive ``catalogue.yaml`` from ProcTHOR homes: facts for the generator, and for reading homes without asset database.
 
     python tools/derive_catalogue.py homes.jsonl.gz [more ...] --assets asset-database.json
+    python tools/derive_catalogue.py ... --share 0 0.5 --out half.yaml --others rest.jsonl.gz
+
+The second command derives it from half of the homes, chosen by a hash of their content, and writes the other homes to a
+file: a generator that uses such a catalogue can be tested on homes that it was not fitted on.
 
 Only aggregates are kept: counts, shares and rounded sizes. The rooms of a type are divided by floor area into six
 classes of equal number, since the furniture of a room depends on its size.
@@ -8,6 +12,7 @@ classes of equal number, since the furniture of a room depends on its size.
 
 import argparse
 import gzip
+import hashlib
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -298,6 +303,20 @@ def _object_facts(rooms: list[dict[str, Any]]) -> dict[str, Any]:
     return dict(facts)
 
 
+def place(house: House) -> float:
+    """Return a number from 0 up to 1 that depends on the house's content alone, for shares of houses."""
+    text = json.dumps(house, sort_keys=True, separators=(",", ":"))
+    return int(hashlib.sha256(text.encode()).hexdigest()[:13], 16) / 16**13
+
+
+def divide(houses: Iterable[House], low: float, high: float) -> tuple[list[House], list[House]]:
+    """Return the houses whose `place` is from ``low`` up to ``high``, and the others."""
+    inside, outside = [], []
+    for house in houses:
+        (inside if low <= place(house) < high else outside).append(house)
+    return inside, outside
+
+
 def _read(files: Iterable[Path]) -> Iterator[House]:
     for file in files:
         with gzip.open(file, "rt", encoding="utf-8") as lines:
@@ -310,9 +329,22 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path, help=".jsonl.gz files of ProcTHOR houses")
     parser.add_argument("--assets", required=True, type=Path, help="ProcTHOR's asset-database.json")
     parser.add_argument("--out", type=Path, default=CATALOGUE)
+    shares = {"nargs": 2, "type": float, "default": (0.0, 1.0), "metavar": ("LOW", "HIGH")}
+    parser.add_argument("--share", **shares, help="derive it from this share of the homes only, by their content")
+    parser.add_argument("--others", type=Path, help="write the other homes to this .jsonl.gz file")
     arguments = parser.parse_args()
-    facts = derive(_read(arguments.files), load_asset_types(arguments.assets))
-    header = "# Facts on ProcTHOR homes, made by `python tools/derive_catalogue.py`; see the docstring there.\n"
+    low, high = arguments.share
+    if not 0 <= low < high <= 1:
+        parser.error(f"--share {low:g} {high:g}: give two numbers from 0 to 1, the smaller one first")
+    houses, others = divide(_read(arguments.files), low, high)
+    if not houses:
+        parser.error(f"--share {low:g} {high:g}: none of the {len(others)} homes is in this share; give a larger one")
+    facts = derive(houses, load_asset_types(arguments.assets))
+    if arguments.others is not None:
+        with gzip.open(arguments.others, "wt", encoding="utf-8") as file:
+            file.writelines(json.dumps(house) + "\n" for house in others)
+    schema = f"{len(houses)} homes in ProcTHOR's schema"
+    header = f"# Facts on {schema}, made by `python tools/derive_catalogue.py`; NOTICE names the homes.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     arguments.out.write_text(header + text, encoding="utf-8")
 

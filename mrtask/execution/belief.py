@@ -25,9 +25,6 @@ GIVEN_UP_ODDS = 1e-6
 """An object counts as absent once searches have lowered its odds to this share of its prior odds."""
 MAX_SEARCHES = 100
 """An object that this many searches of a container did not find counts as absent there."""
-MAX_FAILURES = 3
-"""A container counts as searched after this many failed searches, and an object as gone after as many failed
-interactions."""
 
 
 class Belief:
@@ -49,8 +46,6 @@ class Belief:
         """[C, O] whether the object was ever detected there, and not ruled out since."""
         self.searches = np.zeros(len(searched), dtype=np.int64)
         """[C] how often each was searched."""
-        self.failures: dict[tuple[int, int], int] = {}
-        """How often a container's search (object -1) or an interaction there failed."""
 
     def learned(self, container: int, seen: Seen, fresh: NDArray[np.bool_] | None = None) -> bool:
         """Take in the end of a search of the container. Return whether that is news.
@@ -70,11 +65,6 @@ class Belief:
         given_up = ~believed & (unlikely | (self.searches[container] >= MAX_SEARCHES))
         return self._now_searched(container, np.where(given_up, 0.0, after))
 
-    def gave_up(self, container: int) -> bool:
-        """Give the container up because no robot can search it. Return whether that is news."""
-        self.detected[container] = False
-        return self._now_searched(container, np.zeros(self.presence_prob.shape[1]))
-
     def glimpsed(self, container: int, obj: int, seen: float) -> bool:
         """Take in a passing glance at one object; ``seen`` is as in `Sensor.posterior`. Return whether that is news."""
         row = self.posterior[container]
@@ -86,17 +76,10 @@ class Belief:
         self.detected[container, obj] = False
         return self._set(container, obj, 0.0)
 
-    def failed(self, container: int, obj: int) -> None:
-        """Count a search (object -1) or an interaction that could not be made; give up what fails too often."""
-        count = self.failures[container, obj] = self.failures.get((container, obj), 0) + 1
-        if count >= MAX_FAILURES and obj >= 0:
-            self.ruled_out(container, obj)
-        elif count >= MAX_FAILURES:
-            self.gave_up(container)
-
-    def found(self) -> NDArray[np.bool_]:
-        """Return [O] whether some searched container is believed to hold the object."""
-        return np.asarray(((self.presence_prob > 0) & self.searched[:, None]).any(axis=0))
+    def found(self, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+        """Return [O] whether some searched container (of those ``among`` [C]) is believed to hold the object."""
+        there = (self.presence_prob > 0) & self.searched[:, None]
+        return np.asarray((there if among is None else there & among[:, None]).any(axis=0))
 
     def look_again(self, missing: NDArray[np.bool_], reachable: NDArray[np.bool_]) -> None:
         """Reopen searched containers where a missing object may have been overlooked and no open container is likelier.

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mrtask.execution.episode import EpisodeResult, run_episode
-from mrtask.execution.trials import Trial, TrialOptions, home_order, sample_trial
+from mrtask.execution.trials import Trial, TrialOptions, check_formula, home_order, sample_trial
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
@@ -64,10 +64,13 @@ def run_experiment(
         cache_dir: a folder in which maps are kept between calls.
 
     Raises:
-        InputError: a planner is unknown, or the likelihood has no method `predict`.
+        InputError: a planner is unknown, the likelihood has no method `predict`, the formula of the options is none of
+            a task, or no home has one of its objects.
         ValueError: a plan cannot be carried out, or no home has enough objects.
     """
     chosen = _planners(planners)
+    if options is not None and options.formula is not None:
+        check_formula(options.formula, homes)
     teams = (robots,) if isinstance(robots, int) else tuple(robots)
     known = {home.id: home for home in homes}
     table = build_table(likelihood, homes, options.formula_objects if options else ())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mrtask.execution.acts import WAIT_LEG, Act, ActKind
 from mrtask.execution.motion import Position, Route, plan_route
+from mrtask.execution.setbacks import Setbacks
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Leg
 from mrtask.homes.home import Point
@@ -38,6 +39,7 @@ class Robot:
     """Where the robot stands, or where it set out on its route."""
     spec: RobotSpec
     home_map: HomeMap
+    """Its ways. They are the team's, unless it stands where the team's map has no floor."""
     labels: Labels
     place: int = -1
     """The container at which it stands, or -1 anywhere else."""
@@ -51,6 +53,7 @@ class Robot:
     passed: tuple[Point, ...] = ()
     """The way driven in this leg before the present route."""
     legs: list[Leg] = field(default_factory=list)
+    setbacks: Setbacks = field(default_factory=Setbacks)
 
     @property
     def free(self) -> bool:
@@ -79,6 +82,12 @@ class Robot:
         """Return the times [C] from the robot's position to each container; inf if unreachable."""
         return self.position_at(now_s).distances_m(self.home_map) / self.spec.speed_m_per_s
 
+    def options_s(self, now_s: float) -> NDArray[np.float64]:
+        """Return `travel_s` with inf also for the containers [C] that it leaves alone after a failure."""
+        travel_s = self.travel_s(now_s)
+        travel_s[list(self.setbacks.left_alone(now_s))] = np.inf
+        return travel_s
+
     def way_left(self, now_s: float) -> tuple[tuple[Point, ...], float]:
         """Return the turning points and the metres of its route that lie ahead."""
         if self.route is None:
@@ -89,7 +98,7 @@ class Robot:
     def status(self, now_s: float) -> RobotStatus:
         """Return what a planner may know of the robot."""
         return RobotStatus(
-            travel_s=self.travel_s(now_s),
+            travel_s=self.options_s(now_s),
             place=self.place,
             free=self.free,
             target=self.assignment.container if self.moving else -1,
@@ -114,25 +123,22 @@ class Robot:
             self._drive(position, now_s)
 
     def see_at(self, position: Position, now_s: float) -> None:
-        """Correct the robot's position, on its way or standing. It drives on from there."""
+        """Correct the robot's position, on its way or standing. It drives on from there, if there is a way."""
         if self.moving:
-            self._go_on_from(position, now_s)
+            self.go_on(position, now_s)
         elif self.free:
             self._close_leg(now_s)
             if position != self.position:
                 self.position, self.place = position, -1
 
     def go_on(self, position: Position, now_s: float) -> None:
-        """Continue from a position on a changed map. The robot is free if it can no longer get to its container."""
+        """Continue from a position. A robot under way that cannot get to its container from there is free."""
         if self.moving and self.can_reach(self.assignment.container, position):
             self._go_on_from(position, now_s)
             return
         if self.moving:
             self.stop(now_s)
-        elif self.free and position != self.position:
-            self._close_leg(now_s)
-            self.place = -1
-        self.position = position
+            self.position = position
 
     def stop(self, now_s: float) -> None:
         """Give up the way. The robot is free where it is."""
@@ -169,6 +175,11 @@ class Robot:
         self.act = replace(self.act, kind=ActKind.SETTLING, obj=-1)
         if self.assignment.interaction != ANY_SAFE:
             self.release()
+
+    def give_up(self, now_s: float) -> None:
+        """Leave off an interaction. The robot is free where it stands."""
+        self._close_leg(now_s)
+        self.release()
 
     def release(self) -> None:
         """Become free at the place where the robot stands."""

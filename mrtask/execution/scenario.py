@@ -44,7 +44,7 @@ def task_in(home: Home, text: str, objects: Collection[str] | None = (), *, robo
         InputError: the text is not a task, has more than one meaning, or has a delivery for more than one robot.
     """
     listed = {name for container in home.containers for name in container.objects}
-    places = [container.id for container in home.containers if container.id.isidentifier()]
+    places = [container.id for container in home.containers]
     task = read_task(text, None if objects is None else {*listed, *objects}, places)
     if task.places and robots > 1:
         raise InputError(

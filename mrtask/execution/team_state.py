@@ -10,6 +10,7 @@ Legend for array shapes: R robots, C containers, O task objects.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,11 @@ from mrtask.execution.belief import Belief, Seen
 from mrtask.execution.letters import serving_order
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Labels, Robot
+from mrtask.execution.setbacks import NAVIGATE, SEARCH
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Letter, Trace
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, safe
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotStatus, safe
 from mrtask.tasks.automaton import Automaton
 
 
@@ -35,6 +37,8 @@ class TeamState:
     Args:
         containers: [C] the containers' names.
         belief: from `prior_belief`; it is changed.
+        one_per_letter: whether a robot interacts only where that still advances the task after what others are doing.
+            Simulated robots do not know that, so two may interact where one letter is wanted.
     """
 
     def __init__(
@@ -46,6 +50,7 @@ class TeamState:
         *,
         spec: RobotSpec,
         starts: Sequence[Position],
+        one_per_letter: bool = False,
     ) -> None:
         self.automaton, self.spec, self.belief = automaton, spec, belief
         self.labels = Labels(tuple(containers), automaton.propositions)
@@ -53,7 +58,7 @@ class TeamState:
         self.robots: list[Robot] = []
         self.use_map(home_map)
         self.robots += [self.new_robot(start) for start in starts]
-        self._safe = safe(automaton)
+        self._safe, self.one_per_letter = safe(automaton), one_per_letter
         self.state = automaton.initial
         self.start = starts[0].point(home_map)
         self.letters: list[Letter] = []
@@ -76,14 +81,16 @@ class TeamState:
         return [index for index, robot in enumerate(self.robots) if not robot.lost]
 
     def problem(self) -> PlanningProblem:
-        """Return what a planner may know now, of the `active` robots."""
+        """Return what a planner may know now, of the `active` robots. What none of them can get to holds nothing."""
+        robots = tuple(self._status(self.robots[index]) for index in self.active)
+        reach = _finite([robot.travel_s for robot in robots], len(self.containers))
         return PlanningProblem(
             automaton=self.automaton,
             state=self.state,
-            presence_prob=self.belief.presence_prob.copy(),
+            presence_prob=np.where(reach[:, None], self.belief.presence_prob, 0.0),
             searched=self.belief.searched.copy(),
             travel_s=self._travel_s,
-            robots=tuple(self.robots[index].status(self.time_s) for index in self.active),
+            robots=robots,
             search_time_s=self.spec.search_time_s,
             interact_time_s=self.spec.interact_time_s,
             may_redirect=self.news,
@@ -114,6 +121,7 @@ class TeamState:
 
     def arrived(self, robot: Robot) -> None:
         """Take in that the robot is at its assignment's container, whether expected there now or not."""
+        self.can_be_done(robot.assignment.container, NAVIGATE)
         robot.arrive(self.time_s, search=not self.belief.searched[robot.assignment.container])
 
     def search_ended(self, robot: Robot, seen: Seen | None, fresh: NDArray[np.bool_] | None = None) -> None:
@@ -122,7 +130,7 @@ class TeamState:
         ``seen`` and ``fresh`` are as in `Belief.learned`; None means that it could not search.
         """
         if seen is None:
-            self.failed(robot.place, -1)
+            self.failed(robot, robot.place, SEARCH)
         else:
             self.learned(robot.place, seen, fresh)
         robot.end_search(self.time_s)
@@ -132,16 +140,23 @@ class TeamState:
 
         See `Belief.learned`.
         """
+        self.can_be_done(container, NAVIGATE)
+        self.can_be_done(container, SEARCH)
         return self._noted(self.belief.learned(container, seen, fresh))
 
     def glimpsed(self, container: int, obj: int, seen: float) -> bool:
         """Take in that one object was seen in passing; see `Belief.glimpsed`. Return whether that is news."""
         return self._noted(self.belief.glimpsed(container, obj, seen))
 
-    def failed(self, container: int, obj: int) -> None:
-        """Take in that a search (object -1) or an interaction could not be made."""
-        self.belief.failed(container, obj)
+    def failed(self, robot: Robot, container: int, what: int) -> None:
+        """Take in that the robot could not get to the container, search it or interact there; see `Setbacks`."""
+        robot.setbacks.add(container, what, self.time_s)
         self.news = True
+
+    def can_be_done(self, container: int | None = None, what: int | None = None) -> None:
+        """Take in that what robots may have failed at is possible; see `Setbacks.forgive`."""
+        for robot in self.robots:
+            robot.setbacks.forgive(container, what)
 
     def interactions_ended(self, due: Sequence[Robot]) -> None:
         """Take in the interactions that were completed in this instant.
@@ -153,6 +168,7 @@ class TeamState:
             robot = next(robot for robot in due if robot.act.obj == obj)
             self.state = int(self.automaton.transitions[self.state, obj])
             self.news = True
+            self.can_be_done(robot.place, obj)
             number = next(index for index, one in enumerate(self.robots) if one is robot)
             self.letters.append(
                 Letter(self.time_s, number, self.labels.objects[obj], self.labels.containers[robot.place])
@@ -165,7 +181,7 @@ class TeamState:
         if gone:
             self._noted(self.belief.ruled_out(robot.place, robot.act.obj))
         else:
-            self.failed(robot.place, robot.act.obj)
+            self.failed(robot, robot.place, robot.act.obj)
         robot.end_interaction(self.time_s)
         robot.release()
 
@@ -177,13 +193,33 @@ class TeamState:
         standing = [robot for robot in self.robots if robot.act.kind in kinds and robot.place >= 0]
         return bool([robot for robot in standing if self._try_interaction(robot)])
 
+    def withdraw_interactions(self) -> list[Robot]:
+        """Free the robots whose interactions would not advance the task any more, and return them.
+
+        This happens only with ``one_per_letter``.
+        """
+        if not self.one_per_letter:
+            return []
+        acting = [robot for robot in self.robots if robot.act.kind is ActKind.INTERACT]
+        order = serving_order(self.automaton, self.state, frozenset(robot.act.obj for robot in acting))
+        first = [next(robot for robot in acting if robot.act.obj == obj) for obj in order]
+        after = int(self.automaton.run((self.labels.objects[obj] for obj in order), self.state))
+        withdrawn = [
+            robot
+            for robot in acting
+            if not any(robot is one for one in first) and not self.automaton.advancing[after, robot.act.obj]
+        ]
+        for robot in withdrawn:
+            robot.give_up(self.time_s)
+        return withdrawn
+
     def release(self) -> None:
         """End the instant.
 
         Robots with nothing left to do are free, and what may have been missed is open again.
         """
         if not self.accepted:
-            self.belief.look_again(self._lacking(), self.home_map.reachable)
+            self.belief.look_again(self._lacking(), self._within_reach())
         for robot in self.robots:
             if robot.act.kind is ActKind.SETTLING:
                 robot.release()
@@ -213,20 +249,34 @@ class TeamState:
         for robot in self.robots:
             robot.home_map = home_map
 
-    def take_other_ways(self, home_map: HomeMap, starts: Mapping[int, Position]) -> None:
+    def take_other_ways(self, home_map: HomeMap, own: Mapping[int, HomeMap]) -> None:
         """Take in that the ways changed under the team.
 
-        The team continues from ``starts`` (number -> where the robot is) by the new map. A robot under way that can no
-        longer get to its container is free.
+        The robots in ``own`` (number -> the map for where the robot is) continue from where they are. A robot under way
+        that can no longer get to its container is free.
         """
         self.use_map(home_map)
         self.news = True
-        for number, position in starts.items():
-            self.robots[number].go_on(position, self.time_s)
+        for number, own_map in own.items():
+            self.take_own_map(self.robots[number], own_map)
+
+    def take_own_map(self, robot: Robot, home_map: HomeMap) -> None:
+        """Let a robot continue from where it is by this map."""
+        robot.home_map = home_map
+        robot.go_on(robot.position_at(self.time_s), self.time_s)
 
     def missing(self) -> list[str]:
         """Return the task objects that advance the task now but were found in no container that can be reached."""
         return [self.labels.objects[obj] for obj in np.flatnonzero(self._lacking())]
+
+    def useful(self) -> NDArray[np.bool_]:
+        """Return the containers [C] at which robots that can get there could do something, failed there or not."""
+        ways_s = [self.robots[index].travel_s(self.time_s) for index in self.active]
+        reach = _finite(ways_s, len(self.containers))
+        advancing = self.automaton.advancing[self.state]
+        wanted = (self.belief.presence_prob[:, advancing] > 0).any(axis=1)
+        missing = bool((advancing & ~self.belief.found(reach)).any())
+        return np.asarray(reach & np.where(self.belief.searched, wanted, missing))
 
     def trace(self) -> Trace:
         """Return the record so far. Acts under way are cut off at the present instant."""
@@ -234,7 +284,20 @@ class TeamState:
 
     def _lacking(self) -> NDArray[np.bool_]:
         """Return the objects [O] that `missing` names."""
-        return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found())
+        return np.asarray(self.automaton.advancing[self.state] & ~self.belief.found(self._within_reach()))
+
+    def _status(self, robot: Robot) -> RobotStatus:
+        """Return what a planner may know of a robot.
+
+        The team's travel times say nothing of ways from a container at which only this robot can be.
+        """
+        status = robot.status(self.time_s)
+        return replace(status, place=-1) if robot.free and robot.home_map is not self.home_map else status
+
+    def _within_reach(self) -> NDArray[np.bool_]:
+        """Return the containers [C] to which some robot can be sent now."""
+        ways_s = [self.robots[index].options_s(self.time_s) for index in self.active]
+        return _finite(ways_s, len(self.containers))
 
     def _noted(self, news: bool) -> bool:
         self.news |= news
@@ -252,6 +315,11 @@ class TeamState:
     def _allowed(self, robot: Robot) -> NDArray[np.bool_]:
         """Return the objects [O] with which the robot may interact here now: the one it was sent for, or safe ones."""
         wanted, here = robot.assignment.interaction, self.belief.presence_prob[robot.place] > 0
+        here[robot.setbacks.objects_left_alone(robot.place, self.time_s)] = False
+        if self.one_per_letter:
+            doing = frozenset(one.act.obj for one in self.robots if one.act.kind is ActKind.INTERACT)
+            order = serving_order(self.automaton, self.state, doing)
+            here &= self.automaton.advancing[self.automaton.run((self.labels.objects[o] for o in order), self.state)]
         if not self.belief.searched[robot.place]:
             return np.zeros_like(here)
         if wanted == ANY_SAFE:
@@ -259,3 +327,8 @@ class TeamState:
         named = np.arange(len(here)) == wanted
         sent = robot.act.kind is ActKind.SETTLING
         return np.asarray(self.automaton.advancing[self.state] & here & named & sent)
+
+
+def _finite(ways_s: Sequence[NDArray[np.float64]], containers: int) -> NDArray[np.bool_]:
+    """Return the containers [C] to which some of the robots' ways [C] are finite."""
+    return np.asarray(np.isfinite(np.reshape(ways_s, (-1, containers))).any(axis=0))

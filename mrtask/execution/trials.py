@@ -1,14 +1,17 @@
 """Trials: the home, task, start and team of an episode. All randomness of a trial comes from its own key."""
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
+from mrtask.tasks.automaton import NEVER_ACCEPTS, Automaton, build_automaton, check_task
+from mrtask.tasks.formula import parse
 from mrtask.tasks.templates import PAPER_TEMPLATES, TEMPLATES, make_formula
 
 COSTS = ("makespan", "least_motion")
@@ -86,6 +89,34 @@ def reachable_objects(home: Home, home_map: HomeMap) -> list[str]:
     )
 
 
+def objects_in(homes: Sequence[Home]) -> set[str]:
+    """Return the names of all objects in the containers of these homes."""
+    return {name for home in homes for container in home.containers for name in container.objects}
+
+
+def check_formula(formula: str, homes: Sequence[Home]) -> tuple[str, ...]:
+    """Return the objects of a formula for trials in these homes, in order of appearance.
+
+    Raises:
+        FormulaError: no home has one of the objects, or the formula is none of a task (see `check_task`).
+    """
+    automaton = check_task(build_automaton(formula))
+    parse(formula, objects_in(homes))
+    return automaton.propositions
+
+
+def can_serve(formula: str, objects: tuple[str, ...], there: Collection[str]) -> bool:
+    """Return whether the task over ``objects`` can be done with those that are ``there``."""
+    automaton = _automaton(formula, objects)
+    available = np.array([name in there for name in objects], dtype=bool)
+    return bool(automaton.steps_with(available)[automaton.initial] < NEVER_ACCEPTS)
+
+
+@lru_cache(maxsize=8)
+def _automaton(formula: str, objects: tuple[str, ...]) -> Automaton:
+    return build_automaton(formula, objects)
+
+
 def sample_trial(
     size_class: str,
     robots: int,
@@ -100,7 +131,7 @@ def sample_trial(
 
     The template is drawn among those for which the home has enough distinct reachable objects. The objects and the
     start cell are drawn uniformly. Homes with too few objects for every template are skipped. A ``formula`` in the
-    options replaces the templates in every trial.
+    options replaces the templates in every trial, and homes in which robots cannot reach what it needs are skipped.
 
     Raises:
         ValueError: no home of the class has enough objects.
@@ -113,6 +144,8 @@ def sample_trial(
         home_map = map_of(home)
         names = reachable_objects(home, home_map)
         if options.formula is not None:
+            if not can_serve(options.formula, options.formula_objects, names):
+                continue
             template, text, objects = "formula", options.formula, options.formula_objects
         else:
             fitting = [name for name in options.templates if TEMPLATES[name].arity <= len(names)]
@@ -136,9 +169,10 @@ def sample_trial(
             known=known_containers(home, objects, options.unsearched_share, share_rng),
             cost=options.cost,
         )
+    wanted = options.formula or f"any of the templates {', '.join(options.templates)}"
     raise ValueError(
-        f"no {size_class} home has enough distinct reachable objects for any of the templates "
-        f"{', '.join(options.templates)}; give other evaluation homes or templates ({len(order)} homes tried)"
+        f"no {size_class} home has enough distinct reachable objects for {wanted}; "
+        f"give other evaluation homes or tasks ({len(order)} homes tried)"
     )
 
 

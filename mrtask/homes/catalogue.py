@@ -1,6 +1,7 @@
 """Facts about household furniture: which types hold small objects, how large they are, and what stands or lies where.
 
-The figures are in ``catalogue.yaml``, which ``python tools/derive_catalogue.py`` derived from ProcTHOR homes.
+The figures are in ``catalogue.yaml``, which ``python tools/derive_catalogue.py`` derived from homes of
+ProcTHOR's own generator.
 """
 
 from collections.abc import Mapping, Sequence

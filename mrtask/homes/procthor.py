@@ -24,6 +24,8 @@ from shapely.geometry import Polygon as ShapelyPolygon
 from mrtask.errors import InputError
 from mrtask.homes.catalogue import CONTAINER_TYPES, Asset, AssetDatabase, Size, load_catalogue
 from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, Room
+from mrtask.names import check_name, counted
+from mrtask.validation import dotted, first_problem
 
 MAX_COORDINATE_M = 1000.0
 MAX_EXTENT_M = 100.0
@@ -39,12 +41,12 @@ _ASSET_GROUP = re.compile(r"_\d+$")
 
 
 class HouseError(InputError):
-    """A house that cannot be read. The message names the file, the home's number in it (from 0), and the field."""
+    """A house that cannot be read. The message names the file, the line (from 1) with the home, and the field."""
 
     def __init__(self, source: str, number: int | None, field: str, problem: str) -> None:
         self.source, self.number, self.field, self.problem = source, number, field, problem
-        home = "" if number is None else f", home {number}"
-        super().__init__(f"{source}{home}: {f'{field}: ' if field else ''}{problem}")
+        line = "" if number is None else f", line {number + 1}"
+        super().__init__(f"{source}{line}: {f'{field}: ' if field else ''}{problem}")
 
 
 _Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M, allow_inf_nan=False)]
@@ -133,7 +135,7 @@ def load_asset_types(path: Path | str) -> AssetDatabase:
             try:
                 asset = _Asset.model_validate(entry)
             except ValidationError as error:
-                raise _first_error(error, path.name, None, prefix=f"{object_type}[{index}]") from None
+                raise _first_error(error, entry, path.name, None, prefix=f"{object_type}[{index}]") from None
             box = asset.boundingBox
             assets[asset.assetId] = Asset(object_type, Size(box.x, box.y, box.z))
     return assets
@@ -156,7 +158,7 @@ def read_houses(
     assets = load_asset_types(assets_path) if assets_path is not None else None
     for path in paths:
         count = 0
-        for number, line in enumerate(_lines(path)):
+        for number, line in _lines(path):
             count += 1
             try:
                 yield parse_house(_parse_json(line, path.name, number), assets, path.name, number)
@@ -168,12 +170,12 @@ def read_houses(
             raise HouseError(path.name, None, "", "the file holds no house")
 
 
-def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: int) -> Home:
+def parse_house(raw: object, assets: AssetDatabase | None, source: str, number: int | None) -> Home:
     """Turn one decoded house JSON into a `Home`. Raises `HouseError` if it is not a valid house."""
     try:
         house = _House.model_validate(raw)
     except ValidationError as error:
-        raise _first_error(error, source, number) from None
+        raise _first_error(error, raw, source, number) from None
     except RecursionError:
         raise HouseError(source, number, "objects", "children are nested too deeply") from None
 
@@ -341,6 +343,11 @@ def _find_asset(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
 
 
 def _unknown_type(item: _Child, assets: AssetDatabase | None) -> str:
+    if "|" not in item.id:
+        return (
+            f"'{item.id}' is no id of ProcTHOR's houses (Type|room|n, or room|n with an asset database); houses in "
+            "other formats, such as Holodeck's, cannot be read"
+        )
     if assets is None:
         return f"'{item.id}' names no type; give the asset database that has its assetId '{item.assetId}'"
     return f"'{item.id}' names no type and its assetId '{item.assetId}' is not in the asset database"
@@ -352,6 +359,10 @@ def _held_types(item: _Child, assets: AssetDatabase | None, fail: _Fail, field: 
         child_type = _object_type(child, assets)
         if child_type is None:
             raise fail(child_field, _unknown_type(child, assets))
+        try:
+            check_name(child_type)
+        except InputError as error:
+            raise fail(f"{child_field}.id", str(error)) from None
         yield child_type
         yield from _held_types(child, assets, fail, child_field)
 
@@ -368,20 +379,22 @@ def _room_of(item: _Object, shapes: Mapping[str, ShapelyPolygon]) -> str | None:
     return named if named in around else next(iter(around), None)
 
 
-def _lines(path: Path) -> Iterator[str]:
+def _lines(path: Path) -> Iterator[tuple[int | None, str]]:
+    """Yield the houses of a file with their lines, from 0; a ``.json`` file is one house of any number of lines."""
     if path.suffix == ".json":
-        yield _read_text(path)
+        yield None, _read_text(path)
         return
     opener: Any = gzip.open if path.suffix == ".gz" else open
-    number = 0
+    number = homes = 0
     try:
         with opener(path, "rt", encoding="utf-8") as file:
             for line in file:
                 if line.strip():
-                    yield line
-                    number += 1
+                    yield number, line
+                    homes += 1
+                number += 1
     except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
-        problem = f"the file is damaged or cut off after {number} whole homes ({error})"
+        problem = f"the file is damaged or cut off after {counted(homes, 'whole home')} ({error})"
         raise HouseError(path.name, number, "", problem) from None
 
 
@@ -399,10 +412,8 @@ def _parse_json(text: str, source: str, number: int | None) -> object:
         raise HouseError(source, number, "", f"is not JSON ({error})") from None
 
 
-def _first_error(error: ValidationError, source: str, number: int | None, prefix: str = "") -> HouseError:
+def _first_error(error: ValidationError, raw: object, source: str, number: int | None, prefix: str = "") -> HouseError:
     """Return the first error of pydantic, with its place written as ``objects[3].position.x``."""
-    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    path = prefix
-    for part in first["loc"]:
-        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
-    return HouseError(source, number, path, first["msg"][:1].lower() + first["msg"][1:])
+    place, problem = first_problem(error, raw)
+    field = dotted(place)
+    return HouseError(source, number, f"{prefix}.{field}".strip(".") if prefix else field, problem)

@@ -1,4 +1,4 @@
-"""The training options of all kinds of likelihood models, without an import of torch."""
+"""The options of likelihood models: how they are trained and which a planner plans with. This imports no torch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,6 +10,9 @@ PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
 DEVICES = ("auto", "cpu", "cuda", "mps")
 SMOOTHINGS = (5.0, 20.0, 80.0, 320.0, 1280.0)
 """Each value is four times the previous one; between neighbours, the log loss hardly differs."""
+
+SOURCES = ("model", "truth")
+"""Whose likelihoods a planner can plan with."""
 
 EpochMetrics = dict[str, float]
 EpochCallback = Callable[[int, EpochMetrics], None]
@@ -76,3 +79,24 @@ class TrainingOptions:
             raise ValueError(
                 f"regularisation and smoothing must be above 0, got {self.regularisation}, {self.smoothing}"
             )
+
+
+@dataclass(frozen=True)
+class LikelihoodChoice:
+    """The likelihoods that a planner plans with; by default the model's own.
+
+    ``uniform_mix`` replaces this share of each likelihood by its mean over all containers of the home; with 1, a
+    planner knows how often an object lies anywhere, but not where. ``noise_sd`` is the standard deviation, in log odds,
+    of an error that all containers of a kind share.
+    """
+
+    source: str = "model"
+    """One of `SOURCES`."""
+    uniform_mix: float = 0.0
+    noise_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.source not in SOURCES:
+            raise ValueError(f"source must be {' or '.join(map(repr, SOURCES))}, not {self.source!r}")
+        if not 0 <= self.uniform_mix <= 1 or self.noise_sd < 0:
+            raise ValueError(f"0 <= uniform_mix <= 1 and noise_sd >= 0 needed, got {self}")

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.execution.acts import ActKind
-from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
+from mrtask.execution.setbacks import NAVIGATE
 from mrtask.live import messages as m
-from mrtask.live.barriers import Barrier, barred_map
+from mrtask.live.barriers import Barrier
 from mrtask.live.orders import doing
 from mrtask.live.state import LiveState, Refused
 
@@ -30,12 +30,16 @@ KNOWN_ALREADY = "known already"
 def _pose(live: LiveState, event: m.Pose) -> str | None:
     robot, number = live.robot(event.robot), live.number(event.robot)
     if event.time_s < live.heard_s[number]:
-        raise Refused(f"a later pose of {event.robot} is known, of {live.heard_s[number]:g} s")
+        raise Refused(f"a later pose of {event.robot} is known, of {live.stamp_s(live.heard_s[number]):.10g} s")
     position = live.position(event.x_m, event.y_m)
-    if robot.moving and not robot.can_reach(robot.assignment.container, position):
-        raise Refused(f"there is no way from there to {live.team.containers[robot.assignment.container]}")
     live.heard_s[number] = event.time_s
+    moving, reach = robot.moving, np.isfinite(robot.travel_s(live.team.time_s))
+    robot.home_map = live.map_at(position)
     robot.see_at(position, live.team.time_s)
+    live.surprise |= bool((np.isfinite(robot.travel_s(live.team.time_s)) != reach).any())
+    if moving and not robot.moving:
+        live.order_ended(event.robot)
+        return "from there no way leads to where its order was"
     return None
 
 
@@ -43,24 +47,42 @@ def _arrived(live: LiveState, event: m.Arrived) -> str | None:
     robot, container = live.robot(event.robot), live.container(event.container)
     if robot.place == container:
         return KNOWN_ALREADY
-    _check_under_way(live, event, robot, container)
-    live.team.arrived(robot)
-    return None
+    if _is_under_way(robot, container):
+        live.team.arrived(robot)
+        return None
+    if not _stands_there(live, event, robot, container):
+        raise Refused(f"{event.robot} is not on its way to {event.container}: {doing(live, robot)}")
+    live.team.can_be_done(container, NAVIGATE)
+    return f"it is there, though {doing(live, robot)}"
+
+
+def _stands_there(live: LiveState, event: m.Arrived | m.SearchEnded, robot: Robot, container: int) -> bool:
+    """Take in that a robot is at a container to which it was not sent, unless it has done something else since."""
+    number = live.number(event.robot)
+    if not (robot.free or robot.moving) or event.time_s < max(live.heard_s[number], robot.since_s):
+        return False
+    if not live.setup.home_map.reachable[container]:
+        return False
+    live.heard_s[number] = event.time_s
+    row, col = live.setup.home_map.access[container]
+    position = Position.at((int(row), int(col)))
+    robot.home_map = live.map_at(position)
+    robot.see_at(position, live.team.time_s)
+    if robot.free:
+        robot.place = container
+    live.surprise = True
+    return True
 
 
 def _navigation_failed(live: LiveState, event: m.NavigationFailed) -> str | None:
     robot, container = live.robot(event.robot), live.container(event.container)
-    _check_under_way(live, event, robot, container)
+    if not _is_under_way(robot, container):
+        raise Refused(f"{event.robot} is not on its way to {event.container}: {doing(live, robot)}")
     robot.stop(live.team.time_s)
-    live.team.failed(container, -1)
+    live.team.failed(robot, container, NAVIGATE)
     live.order_ended(event.robot)
     live.surprise = True
     return None
-
-
-def _check_under_way(live: LiveState, event: m.Arrived | m.NavigationFailed, robot: Robot, container: int) -> None:
-    if not _is_under_way(robot, container):
-        raise Refused(f"{event.robot} is not on its way to {event.container}: {doing(live, robot)}")
 
 
 def _is_under_way(robot: Robot, container: int) -> bool:
@@ -87,7 +109,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
         return None
     fresh = live.seen_s[container] <= event.time_s
     if not searching and not fresh.any():
-        raise Refused(f"{event.container} was seen later, at {live.seen_s[container].min():g} s")
+        raise Refused(f"{event.container} was seen later, at {live.stamp_s(live.seen_s[container].min()):.10g} s")
     live.seen_s[container, fresh] = event.time_s
     if arriving:
         live.team.arrived(robot)
@@ -97,6 +119,7 @@ def _search_ended(live: LiveState, event: m.SearchEnded) -> str | None:
     else:
         live.surprise |= live.team.learned(container, seen, fresh) and not searching
     if not searching:
+        _stands_there(live, event, robot, container)
         return f"kept what was seen; {event.robot} was not searching there"
     live.order_ended(event.robot)
     return None
@@ -119,7 +142,9 @@ def _object_seen(live: LiveState, event: m.ObjectSeen) -> str | None:
     if obj is None:
         return "no object of the task"
     if event.time_s < live.seen_s[container, obj]:
-        raise Refused(f"it was seen later whether {event.object} is there, at {live.seen_s[container, obj]:g} s")
+        raise Refused(
+            f"it was seen later whether {event.object} is there, at {live.stamp_s(live.seen_s[container, obj]):.10g} s"
+        )
     live.seen_s[container, obj] = event.time_s
     seen = event.confidence if event.present else 1.0 - event.confidence
     live.surprise |= live.team.glimpsed(container, obj, seen)
@@ -152,7 +177,11 @@ def _interaction_ended(live: LiveState, event: m.InteractionEnded) -> str | None
 
 
 def _robot_lost(live: LiveState, event: m.RobotLost) -> str | None:
-    robot, number = live.robot(event.robot), live.number(event.robot)
+    number = live.number(event.robot)
+    if number in live.silent:
+        live.silent.discard(number)
+        return "it had said nothing for too long, and counted as lost already"
+    robot = live.robot(event.robot)
     if number in live.ended:
         live.ended.remove(number)
         live.team.interactions_ended([robot])
@@ -177,21 +206,44 @@ def _robot_joined(live: LiveState, event: m.RobotJoined) -> str | None:
             raise Refused("a robot's name has no control characters")
         live.names.append(event.robot)
         live.heard_s.append(0.0)
+        live.spoke_s.append(live.team.time_s)
         live.team.join(position)
         number = len(live.names) - 1
-    live.heard_s[number] = event.time_s
+    live.heard_s[number], live.spoke_s[number] = event.time_s, live.team.time_s
+    live.silent.discard(number)
+    live.beating.discard(number)
+    live.team.robots[number].home_map = live.map_at(position)
+    live.surprise = True
+    return None
+
+
+def _heartbeat(live: LiveState, event: m.Heartbeat) -> str | None:
+    live.robot(event.robot)
+    live.beating.add(live.number(event.robot))
+    return None
+
+
+def _clock(live: LiveState, event: m.Clock) -> str | None:
+    return None
+
+
+def _try_again(live: LiveState, event: m.TryAgain) -> str | None:
+    robots = live.team.robots if event.robot is None else [live.robot(event.robot)]
+    container = None if event.container is None else live.container(event.container)
+    for robot in robots:
+        robot.setbacks.forgive(container)
     live.surprise = True
     return None
 
 
 def _route_blocked(live: LiveState, event: m.RouteBlocked) -> str | None:
     key, barrier = _barrier(live, event)
-    if key in live.barriers:
+    if key in live.barriers and live.barriers[key].radius_m >= barrier.radius_m:
         return KNOWN_ALREADY
-    if len(live.barriers) >= MAX_BARRIERS:
+    if key not in live.barriers and len(live.barriers) >= MAX_BARRIERS:
         raise Refused(f"more than {MAX_BARRIERS} places are blocked; clear some")
     live.barriers[key] = barrier
-    _use_barriers(live)
+    live.use_barriers()
     return None
 
 
@@ -200,29 +252,17 @@ def _route_cleared(live: LiveState, event: m.RouteCleared) -> str | None:
     if key not in live.barriers:
         raise Refused("nothing was blocked there")
     del live.barriers[key]
-    _use_barriers(live)
+    live.team.can_be_done(what=NAVIGATE)
+    live.use_barriers()
     return None
 
 
 def _barrier(live: LiveState, event: m.RouteBlocked | m.RouteCleared) -> tuple[str, Barrier]:
     if event.door is not None:
-        return f"door {event.door}", Barrier(*live.door(event.door), live.setup.home_map.resolution_m * 2)
+        name, barrier = live.door(event.door)
+        return f"door {name}", barrier
     place = (float(event.x_m or 0.0), float(event.y_m or 0.0))
     return f"place {place[0]:g} {place[1]:g}", Barrier(place, place, event.radius_m)
-
-
-def _use_barriers(live: LiveState) -> None:
-    """Drop what is blocked from the map; robots under way go on from where they are."""
-    home_map = barred_map(live.setup.home_map, list(live.barriers.values()))
-    starts = {}
-    for number in live.present:
-        position = live.team.robots[number].position_at(live.team.time_s)
-        if not (home_map.free[position.back] and home_map.free[position.ahead]):
-            position = Position.at(free_cell_near(home_map, position.point(home_map), np.inf))
-        starts[number] = position
-    live.map_version += 1
-    live.team.take_other_ways(home_map, starts)
-    live.surprise = True
 
 
 HANDLERS: Mapping[str, Callable[[LiveState, Any], str | None]] = {
@@ -236,5 +276,8 @@ HANDLERS: Mapping[str, Callable[[LiveState, Any], str | None]] = {
     "robot_joined": _robot_joined,
     "route_blocked": _route_blocked,
     "route_cleared": _route_cleared,
+    "heartbeat": _heartbeat,
+    "clock": _clock,
+    "try_again": _try_again,
 }
 """The function that handles an event, by its ``type``."""

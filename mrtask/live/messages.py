@@ -4,7 +4,7 @@ The messages are easy to map to what fleets speak. An order is one action of one
 a VDA 5050 order; its end is reported as FINISHED or FAILED, VDA 5050's action states. `navigate` is Nav2's
 NavigateToPose: SUCCEEDED is `arrived`, ABORTED `navigation_failed`, and a new order for a robot under way cancels the
 previous one. Every event has an ``id`` that the sender chose and the time at which it happened, in seconds on one clock
-for all.
+for all, such as ROS or Unix time.
 
 Fields that a message is not known to have are ignored, and later versions only add optional ones, so that clients and
 live teams of different age understand each other.
@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 PROTOCOL_VERSION = 2
 MAX_NAME = 200
 MAX_LISTED = 1000
-MAX_TIME_S = 1e9
+MAX_TIME_S = 1e11
+"""Room for Unix time in seconds; one in milliseconds is a mistake."""
 MAX_METRES = 1e6
 
 Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
@@ -105,6 +106,26 @@ class InteractionEnded(_AtContainer):
     gone: bool = False
 
 
+class Heartbeat(_OfRobot):
+    """The robot is well. From its first heartbeat on it promises to say something every few seconds."""
+
+    type: Literal["heartbeat"]
+
+
+class Clock(_Event):
+    """Nothing happened until this time: what was to be done by then is done."""
+
+    type: Literal["clock"]
+
+
+class TryAgain(_Event):
+    """An operator says that what failed may work now: for this robot or all, at this container or anywhere."""
+
+    type: Literal["try_again"]
+    robot: Name | None = None
+    container: Name | None = None
+
+
 class RobotLost(_OfRobot):
     """The robot takes part no more."""
 
@@ -131,7 +152,7 @@ class _Barrier(_Event):
 
 
 class RouteBlocked(_Barrier):
-    """Nobody gets through this door, or past this place (a disc of ``radius_m``)."""
+    """Nobody gets through this door, or past this place (a disc of ``radius_m``; the larger of two counts)."""
 
     type: Literal["route_blocked"]
 
@@ -153,6 +174,9 @@ _Events = (
     | RobotJoined
     | RouteBlocked
     | RouteCleared
+    | Heartbeat
+    | Clock
+    | TryAgain
 )
 Event = Annotated[_Events, Field(discriminator="type")]
 
@@ -171,9 +195,20 @@ class Hello(Message):
     type: Literal["hello"]
     version: int = PROTOCOL_VERSION
     token: str | None = Field(default=None, max_length=MAX_NAME)
+    client: Name | None = None
+    """The client's name, the same after a break: then ids need to be unique among its own events only."""
 
 
 _Incoming = _Events | Batch | Hello
+
+
+class Blocked(Message):
+    """A door that is shut, or a place that is blocked."""
+
+    door: str | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+    radius_m: float
 
 
 class Welcome(Message):
@@ -188,6 +223,9 @@ class Welcome(Message):
     robots: tuple[str, ...]
     last_event: str | None
     """The id of the last event that was taken in: where to go on after a break."""
+    doors: tuple[str, ...] = ()
+    """The doors that can be reported as blocked."""
+    blocked: tuple[Blocked, ...] = ()
 
 
 class Answer(Message):
@@ -211,6 +249,8 @@ class Order(Message):
     route: tuple[tuple[float, float], ...] = ()
     """Turning points in metres, from where the robot is taken to be to where it is to stop."""
     length_m: float = 0.0
+    heading_rad: float | None = None
+    """Where to look at the end of the route, so as to face the container; 0 is along the map's x axis."""
 
 
 class Letter(Message):
@@ -223,13 +263,20 @@ class Letter(Message):
 
 
 class TaskState(Message):
-    """How far the task is; ``stuck`` says why nobody can go on, until some event helps."""
+    """How far the task is; ``stuck`` says why nobody can go on, until some event helps.
+
+    With ``running``, the ``reason`` says what a team waits for in which nobody has anything to do yet.
+    """
 
     type: Literal["task"] = "task"
     status: Literal["running", "done", "stuck"]
     time_s: float
     word: tuple[Letter, ...]
     reason: str = ""
+    silent: tuple[str, ...] = ()
+    """The robots that count as lost because they said nothing for too long; they are back as soon as they speak."""
+    wake_s: float | None = None
+    """The time at which the team decides again by itself if it hears nothing; any event of that time makes it so."""
 
 
 Outgoing = Welcome | Answer | Order | TaskState

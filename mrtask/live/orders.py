@@ -1,15 +1,23 @@
 """What a live team says: its orders, the task's progress, and the setup."""
 
+from collections.abc import Sequence
+from math import atan2, dist
 from typing import Any
 
 import numpy as np
+from shapely import Polygon
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.robot import Robot
+from mrtask.execution.setbacks import OFTEN, Setback
+from mrtask.homes.home import Point
 from mrtask.live import messages as m
+from mrtask.live.barriers import Barrier
 from mrtask.live.state import LiveState
 
+REASONS_SHOWN = 5
 _NAVIGATE, _SEARCH, _INTERACT, _WAIT = "navigate", "search", "interact", "wait"
+MIN_FACING_M = 0.01
 _ACTIONS = {
     ActKind.MOVE: _NAVIGATE,
     ActKind.SEARCH: _SEARCH,
@@ -42,7 +50,16 @@ def order_of(live: LiveState, number: int) -> m.Order:
         object=live.setup.task.propositions[obj] if obj >= 0 else None,
         route=route,
         length_m=length_m,
+        heading_rad=_heading_rad(live, target, route[-1]) if route else None,
     )
+
+
+def _heading_rad(live: LiveState, container: int, point: Point) -> float | None:
+    """Return the direction from a place to the middle of a container; None in the middle itself."""
+    middle = Polygon(live.setup.home.containers[container].footprint).centroid
+    if dist(point, (middle.x, middle.y)) < MIN_FACING_M:
+        return None
+    return atan2(middle.y - point[1], middle.x - point[0])
 
 
 def doing(live: LiveState, robot: Robot) -> str:
@@ -56,14 +73,28 @@ def task_state(live: LiveState) -> m.TaskState:
     """Return the task's progress."""
     team = live.team
     word = tuple(
-        m.Letter(time_s=letter.t_s, robot=live.names[letter.robot], object=letter.object, container=letter.container)
+        m.Letter(
+            time_s=live.stamp_s(letter.t_s),
+            robot=live.names[letter.robot],
+            object=letter.object,
+            container=letter.container,
+        )
         for letter in team.letters
     )
+    time_s = live.stamp_s(team.time_s)
     if team.accepted:
-        return m.TaskState(status="done", time_s=team.time_s, word=word)
-    if any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots):
-        return m.TaskState(status="running", time_s=team.time_s, word=word)
-    return m.TaskState(status="stuck", time_s=team.time_s, word=word, reason=_why_stuck(live))
+        return m.TaskState(status="done", time_s=time_s, word=word)
+    acting = any(_ACTIONS[robot.act.kind] in (_NAVIGATE, _SEARCH, _INTERACT) for robot in team.robots)
+    waiting = [] if acting or live.more else live.left_alone()
+    stuck = not acting and not live.more and all(setback.count >= OFTEN for *_, setback in waiting)
+    return m.TaskState(
+        status="stuck" if stuck else "running",
+        time_s=time_s,
+        word=word,
+        reason="; ".join([*([_why_stuck(live)] if stuck and not waiting else []), *_awaited(live, waiting)]),
+        silent=tuple(live.names[number] for number in sorted(live.silent)),
+        wake_s=live.stamp_s(live.wake_s) if np.isfinite(live.wake_s) else None,
+    )
 
 
 def welcome(live: LiveState) -> m.Welcome:
@@ -76,16 +107,37 @@ def welcome(live: LiveState) -> m.Welcome:
         containers=tuple(live.containers),
         robots=tuple(live.names[number] for number in live.present),
         last_event=live.last_event,
+        doors=tuple(live.doors),
+        blocked=tuple(map(_blocked, live.barriers, live.barriers.values())),
     )
+
+
+def _blocked(key: str, barrier: Barrier) -> m.Blocked:
+    kind, _, name = key.partition(" ")
+    if kind == "door":
+        return m.Blocked(door=name, radius_m=barrier.radius_m)
+    return m.Blocked(x_m=barrier.start[0], y_m=barrier.start[1], radius_m=barrier.radius_m)
+
+
+def _awaited(live: LiveState, waiting: Sequence[tuple[float, int, int, Setback]]) -> list[str]:
+    """Return, in words, what robots failed at and when they try it again."""
+    return [
+        f"{live.names[number]} failed {setback.count} x at {live.team.containers[container]} and tries again from "
+        f"{live.stamp_s(until_s):.10g} s on (route_cleared and try_again make it sooner)"
+        for until_s, number, container, setback in waiting[:REASONS_SHOWN]
+    ]
 
 
 def _why_stuck(live: LiveState) -> str:
     team = live.team
     if not live.present:
-        return "no robot is left; robot_joined helps"
+        silent = ", ".join(live.names[number] for number in sorted(live.silent))
+        return f"no robot is left; {f'a word from {silent} helps' if silent else 'robot_joined helps'}"
     ways_s = [team.robots[number].travel_s(team.time_s) for number in live.present]
-    reachable = np.isfinite(ways_s).any(axis=0)
+    reachable = np.asarray(np.isfinite(ways_s).any(axis=0))
     missing = team.missing()
     if missing and team.belief.searched[reachable].all():
-        return f"found in no container that can be reached: {', '.join(missing)}"
+        beyond = [name for name, there in zip(live.containers, reachable, strict=True) if not there]
+        shut = f"; no way leads to {', '.join(beyond[:REASONS_SHOWN])}" if beyond else ""
+        return f"found in no container that can be reached: {', '.join(missing)}{shut}"
     return "every robot waits"

@@ -1,4 +1,7 @@
-"""Save a live team's state as one versioned JSON text, and restore it in another process.
+"""Save a live team's state as lines of JSON, and restore it in another process.
+
+The first line is the whole state; each line after it holds what one message changed (`mrtask.live.state_file`). A last
+line that was cut off was never answered for, and is left out.
 
 States of version 1, which know nothing of searches that err, are read too. Unknown fields are ignored, and fields that
 are added later are optional.
@@ -9,77 +12,28 @@ another task. Routes are planned again: the same map and the same start give the
 
 import hashlib
 import json
-from dataclasses import replace
-from typing import Any, Final, Literal
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import TypeAdapter
 
-from mrtask.errors import InputError
-from mrtask.execution.acts import Act, ActKind
-from mrtask.execution.motion import Position, plan_route
-from mrtask.execution.trace import Leg, Letter
-from mrtask.live.barriers import Barrier, barred_map
+from mrtask.execution.acts import Act
+from mrtask.execution.motion import plan_route
+from mrtask.execution.setbacks import Setback, Setbacks
+from mrtask.execution.trace import Leg
+from mrtask.homes.home import Point
 from mrtask.live.live_team import LiveTeam
+from mrtask.live.saved import IDS, LEGS, PASSED, SavedRobot, SavedState, StateError, damaged, mistake, read_saved
 from mrtask.live.state import LiveSetup
 from mrtask.planning.problem import Assignment
 
 STATE_VERSION: Final = 2
-READ_VERSIONS: Final = (1, 2)
+LEGS_JSON: Final = TypeAdapter(list[Leg])
 
 
-class StateError(InputError):
-    """A state that cannot be restored here."""
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class _Robot(_Part):
-    name: str
-    heard_s: float
-    position: Position
-    place: int
-    mode: ActKind
-    container: int
-    interaction: int
-    since_s: float
-    moved_s: float
-    until_s: float | None
-    under_way: bool
-    passed: tuple[tuple[float, float], ...]
-    obj: int
-    legs: tuple[Leg, ...]
-
-
-class _State(_Part):
-    version: Literal[1, 2]
-    fingerprint: str
-    time_s: float
-    state: int
-    news: bool
-    searched: tuple[bool, ...]
-    presence_prob: tuple[tuple[float, ...], ...]
-    posterior: tuple[tuple[float, ...], ...] | None = None
-    detected: tuple[tuple[bool, ...], ...] | None = None
-    searches: tuple[int, ...] | None = None
-    seen_s: tuple[tuple[float | None, ...], ...]
-    robots: tuple[_Robot, ...]
-    letters: tuple[Letter, ...]
-    failures: tuple[tuple[int, int, int], ...]
-    barriers: dict[str, Barrier]
-    start: tuple[float, float]
-    decisions: int
-    orders: int
-    map_version: int
-    told: dict[str, tuple[str, int, int, int]]
-    busy: tuple[int, ...]
-    ended: tuple[int, ...]
-    surprise: bool
-    ids: tuple[str, ...]
-
-
+@lru_cache(maxsize=1)
 def fingerprint(setup: LiveSetup) -> str:
     """Return the fingerprint of what a saved state belongs to: the layout, the grid and the task."""
     home_map = setup.home_map
@@ -90,11 +44,36 @@ def fingerprint(setup: LiveSetup) -> str:
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
+@dataclass(frozen=True)
+class Mark:
+    """A moment of a live team: what it takes to say what changed since, or to return to it."""
+
+    fields: dict[str, Any]
+    """The state as JSON, without what only grows."""
+    legs: tuple[int, ...]
+    """[R] how many legs each robot had."""
+    passed: tuple[tuple[Point, ...], ...]
+    """[R] the way that each robot had driven in its present leg."""
+    taken: int
+    """How many events were taken in."""
+
+
 def save(live: LiveTeam) -> str:
-    """Return the state as JSON; call this between two calls of `LiveTeam.handle`."""
+    """Return the whole state as one line; call this between two calls of `LiveTeam.handle`."""
+    return json.dumps(_fields_at(live, mark(live)), separators=(",", ":"))
+
+
+def return_to(live: LiveTeam, moment: Mark) -> None:
+    """Undo everything since a mark of this live team."""
+    restored = _team_of(live.setup, SavedState.model_validate(_fields_at(live, moment)))
+    vars(live).update(vars(restored) | {"planner": live.planner, "taken": moment.taken})
+
+
+def mark(live: LiveTeam) -> Mark:
+    """Return the present moment of a live team; this costs the same however long the team has worked."""
     team, belief = live.team, live.team.belief
     robots = [
-        _Robot(
+        SavedRobot(
             name=name,
             heard_s=heard_s,
             position=robot.position,
@@ -106,13 +85,15 @@ def save(live: LiveTeam) -> str:
             moved_s=robot.moved_s,
             until_s=robot.act.until_s if np.isfinite(robot.act.until_s) else None,
             under_way=robot.route is not None,
-            passed=robot.passed,
             obj=robot.act.obj,
-            legs=tuple(robot.legs),
+            setbacks=tuple((*key, setback.count, setback.last_s) for key, setback in robot.setbacks.by.items()),
+            spoke_s=live.spoke_s[number],
+            silent=number in live.silent,
+            beating=number in live.beating,
         )
-        for name, heard_s, robot in zip(live.names, live.heard_s, team.robots, strict=True)
+        for number, (name, heard_s, robot) in enumerate(zip(live.names, live.heard_s, team.robots, strict=True))
     ]
-    return _State(
+    state = SavedState(
         version=STATE_VERSION,
         fingerprint=fingerprint(live.setup),
         time_s=team.time_s,
@@ -126,7 +107,6 @@ def save(live: LiveTeam) -> str:
         seen_s=tuple(tuple(float(at) if np.isfinite(at) else None for at in row) for row in live.seen_s),
         robots=tuple(robots),
         letters=tuple(team.letters),
-        failures=tuple((*key, count) for key, count in belief.failures.items()),
         barriers=live.barriers,
         start=team.start,
         decisions=live.decisions,
@@ -136,26 +116,40 @@ def save(live: LiveTeam) -> str:
         busy=tuple(sorted(live.busy)),
         ended=tuple(live.ended),
         surprise=live.surprise,
-        ids=tuple(live.ids),
-    ).model_dump_json()
+        decided_s=live.decided_s,
+        zero_s=live.clock.zero_s,
+    )
+    fields = state.model_dump(mode="json", exclude={IDS: True, "robots": {"__all__": {LEGS, PASSED}}})
+    legs = tuple(len(robot.legs) for robot in team.robots)
+    return Mark(fields, legs, tuple(robot.passed for robot in team.robots), live.taken)
 
 
 def restore(setup: LiveSetup, text: str) -> LiveTeam:
-    """Return the live team of a saved state.
+    """Return the live team of a saved state: one line, or one and the changes since.
 
     Raises:
         StateError: a damaged text, or one of another version, home or task.
     """
-    try:
-        raw: Any = json.loads(text)
-        if isinstance(raw, dict) and raw.get("version") not in READ_VERSIONS:
-            readable = " and ".join(map(str, READ_VERSIONS))
-            raise StateError(f"the state is of version {raw.get('version')}, this program reads {readable}")
-        state = _State.model_validate(raw)
-    except (json.JSONDecodeError, ValidationError, RecursionError) as error:
-        raise StateError(f"the state is damaged ({str(error).splitlines()[0]}); begin anew without it") from None
+    state = read_saved(text)
     if state.fingerprint != fingerprint(setup):
         raise StateError("the state is of another home, map or task; give those it was saved with, or another file")
+    if (wrong := mistake(setup, state)) is not None:
+        raise damaged(wrong)
+    return _team_of(setup, state)
+
+
+def _fields_at(live: LiveTeam, moment: Mark) -> dict[str, Any]:
+    """Return the whole state as JSON, as it was at a mark."""
+    robots = [
+        {**fields, LEGS: LEGS_JSON.dump_python(robot.legs[:count], mode="json"), PASSED: passed}
+        for fields, robot, count, passed in zip(
+            moment.fields["robots"], live.team.robots, moment.legs, moment.passed, strict=False
+        )
+    ]
+    return moment.fields | {"robots": robots, IDS: live.ids_until(moment.taken)}
+
+
+def _team_of(setup: LiveSetup, state: SavedState) -> LiveTeam:
     live = LiveTeam(setup, {robot.name: setup.home_map.cell_center(robot.position.back) for robot in state.robots})
     team = live.team
     belief = team.belief
@@ -167,11 +161,11 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
     sure = (belief.presence_prob == 1.0) & belief.searched[:, None]
     belief.detected = sure if state.detected is None else np.array(state.detected, dtype=bool).reshape(shape)
     belief.searches = np.array(state.searched if state.searches is None else state.searches, dtype=np.int64)
-    belief.failures = {(container, obj): count for container, obj, count in state.failures}
     live.seen_s = np.array([[-np.inf if at is None else at for at in row] for row in state.seen_s]).reshape(shape)
     live.barriers, live.map_version = dict(state.barriers), state.map_version
-    if live.barriers:
-        team.use_map(barred_map(setup.home_map, list(live.barriers.values())))
+    team.use_map(live.barred(tuple(live.barriers.values())))
+    if not 0 <= state.state < len(team.automaton.transitions):
+        raise damaged(f"state is {state.state}, and the task has {len(team.automaton.transitions)}")
     team.time_s, team.state, team.news, team.start = state.time_s, state.state, state.news, state.start
     team.letters = list(state.letters)
     team.robots = [
@@ -182,14 +176,21 @@ def restore(setup: LiveSetup, text: str) -> LiveTeam:
             assignment=Assignment(one.container, one.interaction),
             since_s=one.since_s,
             moved_s=one.moved_s,
-            route=plan_route(team.home_map, one.position, one.container) if one.under_way else None,
+            home_map=live.map_at(one.position),
+            route=plan_route(live.map_at(one.position), one.position, one.container) if one.under_way else None,
             passed=one.passed,
             legs=list(one.legs),
+            setbacks=Setbacks({(at, what): Setback(count, last_s) for at, what, count, last_s in one.setbacks}),
         )
         for one in state.robots
     ]
     live.heard_s = [one.heard_s for one in state.robots]
+    live.spoke_s = [one.spoke_s for one in state.robots]
+    live.silent = {number for number, one in enumerate(state.robots) if one.silent}
+    live.beating = {number for number, one in enumerate(state.robots) if one.beating}
     live.decisions, live.orders, live.told = state.decisions, state.orders, dict(state.told)
     live.busy, live.ended, live.surprise = set(state.busy), list(state.ended), state.surprise
+    live.decided_s = state.decided_s
     live.ids = dict.fromkeys(state.ids)
+    live.clock.zero_s = state.zero_s
     return live

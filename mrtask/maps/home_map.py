@@ -19,6 +19,7 @@ from skimage.draw import polygon as cells_inside
 from mrtask.arrays import Bools, Floats, Int32s, Ints, UInt8s
 from mrtask.homes.home import Home, Point, Polygon
 from mrtask.maps.distance_fields import TIE_CELLS, descend, distance_fields, follow, soft_fields
+from mrtask.names import counted
 
 DEFAULT_RESOLUTION_M = 0.05
 DEFAULT_ROBOT_RADIUS_M = 0.2
@@ -59,6 +60,12 @@ class HomeMap:
     def reachable(self) -> Bools:
         """Return, for each container [C], whether a robot can get there."""
         return np.asarray(self.access[:, 0] >= 0)
+
+    def out_of_reach(self, home: Home) -> str:
+        """Return a sentence that names those of the home's containers that no robot can get to, or an empty text."""
+        names = [one.id for one, ok in zip(home.containers, self.reachable, strict=True) if not ok]
+        total = counted(len(self.access), "container")
+        return f"{len(names)} of {total} cannot be reached by a robot: {', '.join(names)}" if names else ""
 
     @cached_property
     def travel_m(self) -> Floats:

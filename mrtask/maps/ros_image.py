@@ -33,8 +33,8 @@ class ScannedCells:
 
     free: Bools
     """[H, W] whether the cell is surely free."""
-    unknown_as_free: int
-    """The number of cells with the grey for unknown that count as free because ``free_thresh`` is too high for it."""
+    unknown_as_free: Bools
+    """[H, W] whether the cell has the grey for unknown and is free, since ``free_thresh`` is too high for this grey."""
 
 
 def read_cells(path: Path, *, negate: bool, free_thresh: float) -> ScannedCells:
@@ -47,7 +47,7 @@ def read_cells(path: Path, *, negate: bool, free_thresh: float) -> ScannedCells:
     occupied_prob = lightness if negate else 1.0 - lightness
     free = opaque & (occupied_prob < free_thresh)
     unknown = np.isclose(1.0 - lightness if negate else lightness, UNKNOWN_LIGHTNESS, atol=0.5 / 255)
-    return ScannedCells(np.flipud(free), int((free & unknown).sum()))
+    return ScannedCells(np.flipud(free), np.flipud(free & unknown))
 
 
 def _lightness(path: Path) -> tuple[Floats, Bools]:

@@ -17,26 +17,27 @@ on the scan stand in a robot's way.
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import shapely
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 from scipy import ndimage
 
 from mrtask.arrays import Bools, Ints
 from mrtask.homes.catalogue import Size, load_catalogue
 from mrtask.homes.contents import fill_home, rooms_with
-from mrtask.homes.home import Container, Door, Home, Obstacle, Polygon, Room
+from mrtask.homes.home import Container, Door, Home, Obstacle, Point, Polygon, Room
 from mrtask.homes.procthor import rotated_rectangle
 from mrtask.maps.distance_fields import distance_fields
 from mrtask.maps.home_map import REACH_M
 from mrtask.maps.ros_image import ImageError, read_cells
 from mrtask.maps.yaml_file import MapError as MapError
 from mrtask.maps.yaml_file import Schema, YamlFile
-from mrtask.names import counted
+from mrtask.names import check_name, counted
 
 DEFAULT_SIZE_M = Size(0.3, 0.5, 0.3)
 """The size of containers whose type the catalogue does not know."""
@@ -51,7 +52,8 @@ of furniture."""
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Share = Annotated[float, Field(ge=0, le=1)]
-_Name = Annotated[str, Field(min_length=1)]
+_Text = Annotated[str, Field(min_length=1)]
+_Name = Annotated[str, AfterValidator(check_name)]
 
 
 class MapWarning(UserWarning):
@@ -61,7 +63,7 @@ class MapWarning(UserWarning):
 class _MapFile(Schema):
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
 
-    image: _Name
+    image: _Text
     resolution: _Positive
     origin: list[float] = Field(min_length=2, max_length=3)
     negate: bool | int = 0
@@ -85,6 +87,17 @@ class _ContainersFile(Schema):
     containers: list[_ContainerEntry] = Field(min_length=1)
 
 
+class CellKind(IntEnum):
+    """What a cell of a scan was read as."""
+
+    NOT_FREE = 0
+    FLOOR = 1
+    UNKNOWN_AS_FLOOR = 2
+    """Floor of the home whose grey is that of unknown space."""
+    LEFT_OUT = 3
+    """Free floor to which no way leads."""
+
+
 @dataclass(frozen=True)
 class _Floor:
     """The free cells of a scan."""
@@ -93,6 +106,14 @@ class _Floor:
     """[H, W] the largest connected region: the home."""
     rest: Bools
     """[H, W] other regions large enough to stand on."""
+    unknown: Bools
+    """[H, W] free cells with the grey for unknown."""
+
+    def kinds(self) -> Ints:
+        """Return [H, W] the `CellKind` of each cell."""
+        kinds = np.where(self.main, CellKind.FLOOR, CellKind.NOT_FREE)
+        kinds[self.unknown & self.main], kinds[self.rest] = CellKind.UNKNOWN_AS_FLOOR, CellKind.LEFT_OUT
+        return kinds
 
 
 def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: int, seed: int) -> tuple[Home, ...]:
@@ -102,8 +123,12 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
     ``worlds``. Raises `MapError`, also if contents are to be drawn for a container whose type the catalogue does not
     know.
     """
-    home = read_ros_map(map_path, containers_path)
-    containers_file = YamlFile(Path(containers_path))
+    return map_worlds(_said(scan_floor(map_path, containers_path)), worlds, seed)
+
+
+def map_worlds(scan: "ScannedFloor", worlds: int, seed: int) -> tuple[Home, ...]:
+    """Return the homes of a scanned floor; takes and raises what `read_map_worlds` does."""
+    home, containers_file = scan.home, YamlFile(scan.containers_path)
     listed = containers_file.check(_ContainersFile).containers
     if any(entry.objects is not None for entry in listed):
         return (home,)
@@ -120,20 +145,32 @@ def read_map_worlds(map_path: Path | str, containers_path: Path | str, worlds: i
     return tuple({world.id: world for world in drawn}.values())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScannedFloor:
     """A home read from a map, and what its owner should know about the reading."""
 
     home: Home
     area_m2: float
     warnings: tuple[str, ...]
+    containers_path: Path
+    """The file that lists the containers."""
+    cells: Ints
+    """[H, W] the `CellKind` of each cell of the scan; row 0 is at the origin's side."""
+    origin_m: Point
+    resolution_m: float
 
     @property
     def summary(self) -> str:
-        """Return a line such as ``lab.yaml: 42.0 m2 of floor, 2 rooms, 5 containers``."""
+        """Return a line such as ``lab.yaml: 42.0 m2 of floor (small), 2 rooms, 5 containers``."""
         rooms = len({room.id.partition("#")[0] for room in self.home.rooms})
         containers = counted(len(self.home.containers), "container")
-        return f"{self.home.source}: {self.area_m2:.1f} m2 of floor, {counted(rooms, 'room')}, {containers}"
+        floor = f"{self.area_m2:.1f} m2 of floor ({self.home.size_class})"
+        return f"{self.home.source}: {floor}, {counted(rooms, 'room')}, {containers}"
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Return what a program should say about the reading: the summary, then a line for each warning."""
+        return (self.summary, *(f"warning: {text}" for text in self.warnings))
 
 
 def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
@@ -142,10 +179,13 @@ def read_ros_map(map_path: Path | str, containers_path: Path | str) -> Home:
     Issues a `MapWarning` for everything that `scan_floor` finds doubtful. Raises `MapError`, which names the file, the
     line and the field.
     """
-    scan = scan_floor(map_path, containers_path)
+    return _said(scan_floor(map_path, containers_path)).home
+
+
+def _said(scan: ScannedFloor) -> ScannedFloor:
     for text in scan.warnings:
-        warnings.warn(text, MapWarning, stacklevel=2)
-    return scan.home
+        warnings.warn(text, MapWarning, stacklevel=3)
+    return scan
 
 
 def scan_floor(map_path: Path | str, containers_path: Path | str) -> ScannedFloor:
@@ -178,7 +218,15 @@ def scan_floor(map_path: Path | str, containers_path: Path | str) -> ScannedFloo
             obstacles += [Obstacle("", "Wall", _to_metres(hole, facts)) for hole in piece.interiors]
     numbered = tuple(Obstacle(f"wall-{index}", wall.type, wall.footprint) for index, wall in enumerate(obstacles))
     home = Home(map_path.name, tuple(rooms), tuple(_openings(rooms)), tuple(containers), numbered)
-    return ScannedFloor(home, float(floor.main.sum()) * facts.resolution**2, (*doubts, *more_doubts))
+    return ScannedFloor(
+        home=home,
+        area_m2=float(floor.main.sum()) * facts.resolution**2,
+        warnings=(*doubts, *more_doubts),
+        containers_path=Path(containers_path),
+        cells=floor.kinds(),
+        origin_m=(facts.origin[0], facts.origin[1]),
+        resolution_m=facts.resolution,
+    )
 
 
 def _placed(
@@ -246,10 +294,11 @@ def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
     main = int(np.argmax(sizes))
     large = np.flatnonzero(sizes * cell_m2 >= MIN_REGION_M2)
     left_out = [int(label) for label in large if label != main]
+    floor = _Floor(labels == main, np.isin(labels, left_out), cells.unknown_as_free)
     name, warnings_ = file.path.name, []
-    if cells.unknown_as_free:
+    if unknown := int(floor.unknown.sum()):
         warnings_.append(
-            f"{name}: {cells.unknown_as_free} cells of grey 205, which map_saver writes for unknown space, count as "
+            f"{name}: {unknown} cells of grey 205, which map_saver writes for unknown space, count as "
             f"floor since free_thresh is {facts.free_thresh:g}; free_thresh: 0.196 leaves them out"
         )
     if left_out:
@@ -258,7 +307,7 @@ def _floor(file: YamlFile, facts: _MapFile) -> tuple[_Floor, list[str]]:
             f"{name}: {area_m2:.1f} m2 of free floor in {counted(len(left_out), 'region')} are left out: no way leads "
             "there on the scan (a shut door?)"
         )
-    return _Floor(labels == main, np.isin(labels, left_out)), warnings_
+    return floor, warnings_
 
 
 def _container(entry: _ContainerEntry) -> Container:

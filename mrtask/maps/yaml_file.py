@@ -8,9 +8,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from mrtask.errors import InputError
-
-Place = tuple[str | int, ...]
-"""The keys and list indices that lead to a field."""
+from mrtask.validation import Place, dotted, first_problem
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|nan|inf)", re.IGNORECASE)
 """Numbers as C++ programs write them. PyYAML follows YAML 1.1 and reads ``1e-05`` and ``-nan`` as text."""
@@ -97,18 +95,14 @@ class YamlFile:
         known = place
         while known and known not in self._lines:
             known = known[:-1]
-        field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
-        return MapError(self.path, self._lines.get(known), field, problem)
+        return MapError(self.path, self._lines.get(known), dotted(place), problem)
 
     def check(self, schema: type[_T]) -> _T:
         """Return the data as an instance of the schema. Raises `MapError` at the first field that does not fit."""
         try:
             return schema.model_validate(self.data)
         except ValidationError as error:
-            first = error.errors(include_url=False, include_context=False)[0]
-            problem = first["msg"][:1].lower() + first["msg"][1:]
-            if not first["loc"]:
+            place, problem = first_problem(error, self.data)
+            if not place and not isinstance(self.data, dict):
                 problem = "should hold keys and values, as in `image: floor.pgm`"
-            elif first["input"] is None:
-                problem = "has no value"
-            raise self.error(tuple(first["loc"]), problem) from None
+            raise self.error(place, problem) from None

@@ -75,13 +75,23 @@ class MyopicPlanner(ABC):
         """Return the containers [C] that ``robots`` robots divide, out of those ``open_to_search`` [C]."""
 
     def _searches(self, problem: PlanningProblem, team: list[int], taken: set[int]) -> dict[int, Assignment]:
-        """Divide the shortlist among the robots. Robots beyond its length get nothing."""
-        travel_s = np.array([problem.robots[index].travel_s for index in team])
-        open_to_search = ~problem.searched & np.isfinite(travel_s).all(axis=0)
-        open_to_search[list(taken)] = False
-        columns = np.flatnonzero(self._shortlist(problem, open_to_search, len(team)))
-        pairs = zip(*linear_sum_assignment(travel_s[:, columns]), strict=True)
-        return {team[row]: Assignment(int(columns[column])) for row, column in pairs}
+        """Divide the shortlist among the robots. Robots beyond its length get nothing.
+
+        Robots that can get to different containers have a shortlist each, those with least choice first.
+        """
+        groups: dict[bytes, list[int]] = {}
+        for index in team:
+            groups.setdefault(np.isfinite(problem.robots[index].travel_s).tobytes(), []).append(index)
+        chosen: dict[int, Assignment] = {}
+        for within_reach in sorted(groups, key=lambda reach: reach.count(1)):
+            group = groups[within_reach]
+            travel_s = np.array([problem.robots[index].travel_s for index in group])
+            open_to_search = ~problem.searched & np.isfinite(travel_s[0])
+            open_to_search[[*taken, *(assignment.container for assignment in chosen.values())]] = False
+            columns = np.flatnonzero(self._shortlist(problem, open_to_search, len(group)))
+            pairs = zip(*linear_sum_assignment(travel_s[:, columns]), strict=True)
+            chosen |= {group[row]: Assignment(int(columns[column])) for row, column in pairs}
+        return chosen
 
 
 class NonlearnedMyopic(MyopicPlanner):

@@ -16,10 +16,7 @@ from importlib import import_module
 from pathlib import Path
 
 from mrtask.errors import InputError
-from mrtask.planning.greedy import Greedy
-from mrtask.planning.myopic import LearnedMyopic, NonlearnedMyopic
-from mrtask.planning.paper.planner import PaperPouct
-from mrtask.planning.pouct import Known, Pouct
+from mrtask.names import suggest
 from mrtask.planning.problem import Planner, PlanOnly, Plans
 
 PAPERS_PLANNER = "pouct_paper"
@@ -43,20 +40,30 @@ class Role(Enum):
 class PlannerEntry:
     """One planner of the table."""
 
-    planner: Callable[..., Planner]
-    """The planner's class, which takes the options as keywords."""
+    where: str
+    """The planner's class, in this package. It is imported only when needed: compiled searches take a second."""
     role: Role
     published_as: str | None = None
     """Our name for the planner in the paper's table of results with which this one is compared, or None."""
 
+    @property
+    def planner(self) -> Callable[..., Planner]:
+        """The planner's class, which takes the options as keywords."""
+        return _imported(self.path)
+
+    @property
+    def path(self) -> str:
+        """The import path of the class."""
+        return f"{__package__}.{self.where}"
+
 
 PLANNERS: Mapping[str, PlannerEntry] = {
-    "nonlearned_myopic": PlannerEntry(NonlearnedMyopic, Role.BASELINE, published_as="nonlearned_myopic"),
-    "learned_myopic": PlannerEntry(LearnedMyopic, Role.BASELINE, published_as="learned_myopic"),
-    "greedy": PlannerEntry(Greedy, Role.REFERENCE),
-    "pouct_paper": PlannerEntry(PaperPouct, Role.REFERENCE, published_as=PAPERS_PLANNER),
-    "pouct": PlannerEntry(Pouct, Role.OURS, published_as=PAPERS_PLANNER),
-    "known": PlannerEntry(Known, Role.BOUND),
+    "nonlearned_myopic": PlannerEntry("myopic.NonlearnedMyopic", Role.BASELINE, published_as="nonlearned_myopic"),
+    "learned_myopic": PlannerEntry("myopic.LearnedMyopic", Role.BASELINE, published_as="learned_myopic"),
+    "greedy": PlannerEntry("greedy.Greedy", Role.REFERENCE),
+    "pouct_paper": PlannerEntry("paper.planner.PaperPouct", Role.REFERENCE, published_as=PAPERS_PLANNER),
+    "pouct": PlannerEntry("pouct.Pouct", Role.OURS, published_as=PAPERS_PLANNER),
+    "known": PlannerEntry("pouct.Known", Role.BOUND),
 }
 """The planners, from the simplest to the best informed. Rows and legends keep this order."""
 
@@ -88,12 +95,21 @@ def published_counterpart(name: str) -> str | None:
     return PLANNERS[name].published_as if name in PLANNERS else PAPERS_PLANNER
 
 
+def check_planner_name(name: str) -> None:
+    """Raise `InputError` where a name is neither one of ours nor an import path; this imports nothing."""
+    if name not in PLANNERS and not name.rpartition(".")[0].strip("."):
+        raise InputError(
+            f"unknown planner {name!r}; {suggest(name, PLANNERS)}, or the import path of your own (package.module.name)"
+        )
+
+
 def make_planner(name: str, options: Mapping[str, object] | None = None) -> Planner:
     """Make the planner of that name or import path with the given options.
 
     Raises:
         InputError: the name is unknown, the import path leads to no planner, or the planner refuses the options.
     """
+    check_planner_name(name)
     factory = PLANNERS[name].planner if name in PLANNERS else _imported(name)
     try:
         planner = factory(**(options or {}))
@@ -118,8 +134,8 @@ def as_planner(planner: Plans | str) -> Planner:
 def planner_name(planner: Planner) -> str:
     """Return the planner's name among ours, or the import path of its class (``package.module.Class``)."""
     kind = type(getattr(planner.plan, "__self__", planner))  # for a `PlanOnly`, the class that it wraps
-    ours = (name for name, entry in PLANNERS.items() if entry.planner is kind)
-    return next(ours, f"{kind.__module__}.{kind.__qualname__}")
+    path = f"{kind.__module__}.{kind.__qualname__}"
+    return next((name for name, entry in PLANNERS.items() if entry.path == path), path)
 
 
 def _as_planner(planner: Plans, called: str) -> Planner:
@@ -133,12 +149,7 @@ def _as_planner(planner: Plans, called: str) -> Planner:
 
 
 def _imported(path: str) -> Callable[..., Planner]:
-    module_name, dot, attribute = path.rpartition(".")
-    if not dot or not module_name.strip("."):
-        raise InputError(
-            f"unknown planner {path!r}; allowed are {', '.join(PLANNERS)} or the import path of your own "
-            "(package.module.name)"
-        )
+    module_name, _, attribute = path.rpartition(".")
     try:
         factory: Callable[..., Planner] = getattr(import_module(module_name), attribute)
     except Exception as error:  # importing runs the user's code, which may raise anything

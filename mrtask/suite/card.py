@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mrtask.analysis.results.statistics import Estimate, compare, paired_costs
+from mrtask.analysis.results.statistics import Estimate, PairedCosts, paired_costs
+from mrtask.names import counted
 from mrtask.planning.planners import Role, planner_role, planners_in_order
 
 BASELINES = ("nonlearned_myopic", "learned_myopic")
@@ -17,21 +18,29 @@ SAME_COST = 1 + 1e-9
 
 
 def render_card(
-    planner: str, options: Mapping[str, Any], episodes: pd.DataFrame, recorded: pd.DataFrame, suite: str
+    planner: str,
+    options: Mapping[str, Any],
+    episodes: pd.DataFrame,
+    recorded: pd.DataFrame,
+    suite: str,
+    home_of: Mapping[str, str],
 ) -> str:
     """Return the card as text.
 
     Args:
         episodes: the planner's rows, `mrtask.suite.score.COLUMNS`.
         recorded: rows of our planners on the same trials. New rows replace those of a planner with the same name.
+        home_of: the home of each trial; intervals come from resampling homes.
     """
     together = pd.concat([recorded[recorded["planner"] != planner], episodes], ignore_index=True)
     costs = paired_costs(together)
+    homes = pd.Series(home_of)
     profiles = _profiles(costs)
     names = planners_in_order(costs.columns)
     chosen = " ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     lines = [
-        f"{planner} ({chosen}) on {suite}: {len(episodes)} trials",
+        f"{planner} ({chosen}) on {suite}: {counted(len(episodes), 'trial')} in "
+        + counted(homes[episodes["trial_id"]].nunique(), "home"),
         "",
         f"{'':22} {'finished':>8} {'mean s':>8}  {'% below nonlearned':>20}  {'% below learned':>20}",
     ]
@@ -39,7 +48,7 @@ def render_card(
         finished = costs[name].notna()
         lines.append(
             f"{_marked(name, planner)} {int(finished.sum()):>8} {costs[name].mean():>8.3f}  "
-            + "  ".join(f"{_improvement(costs, name, baseline):>20}" for baseline in BASELINES)
+            + "  ".join(f"{_improvement(costs, homes, name, baseline):>20}" for baseline in BASELINES)
         )
     header = " ".join(f"{f'{factor:g}x':>6}" for factor in PROFILE_FACTORS)
     lines += ["", f"{'within, of the best:':22} {header}"]
@@ -53,7 +62,7 @@ def render_card(
         part = costs.loc[cell["trial_id"]]
         lines.append(
             f"  {size_class:7} {robots} robots: {part[planner].mean():>8.3f}  "
-            f"{_improvement(part, planner, 'learned_myopic')}"
+            f"{_improvement(part, homes, planner, 'learned_myopic')}"
         )
     if (unfinished := int(costs[planner].isna().sum())) > 0:
         note = "trials were not finished: means and improvements leave them out, the profile does not"
@@ -77,10 +86,10 @@ def _marked(name: str, scored: str) -> str:
     return f"{'> ' if name == scored else '  '}{short[:20]:20}"
 
 
-def _improvement(costs: pd.DataFrame, planner: str, baseline: str) -> str:
+def _improvement(costs: pd.DataFrame, homes: pd.Series, planner: str, baseline: str) -> str:
     if planner == baseline or baseline not in costs:
         return "-"
-    return _text(compare(costs[planner].to_numpy(), costs[baseline].to_numpy()).improvement)
+    return _text(PairedCosts(costs, homes).improvement(planner, baseline))
 
 
 def _text(estimate: Estimate) -> str:

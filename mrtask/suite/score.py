@@ -28,6 +28,7 @@ from tqdm import tqdm
 from mrtask.errors import InputError, refuse
 from mrtask.execution.episode import run_episode, warm_up
 from mrtask.files import default_cache_dir
+from mrtask.names import counted
 from mrtask.planning.planners import make_planner
 from mrtask.planning.warm_up import kernels_missing, mark_compiled
 from mrtask.suite.card import planning_text, render_card
@@ -64,7 +65,10 @@ class Request:
         for name, value in counts.items():
             if not value.isdecimal() or int(value) < 1:
                 raise InputError(f"{name}={value}: must be a whole number, at least 1")
-        options = yaml.safe_load(values.get("options", "{}"))
+        try:
+            options = yaml.safe_load(values.get("options", "{}"))
+        except yaml.YAMLError:
+            options = None
         if not isinstance(options, dict):
             raise InputError(f"options={values['options']}: must be names and values, as options='{{samples: 1000}}'")
         out = Path(values["out"]) if "out" in values else None
@@ -136,13 +140,14 @@ def main(arguments: list[str]) -> int:
             episodes = score_planner(request, bar.update)
         recorded = recorded_episodes(suite)
         recorded = recorded[recorded["trial_id"].isin(episodes["trial_id"])]
-        card = render_card(request.planner, request.options, episodes, recorded, suite.name)
+        home_of = {trial.trial_id: trial.home_id for trial in suite.trials}
+        card = render_card(request.planner, request.options, episodes, recorded, suite.name, home_of)
         if len(episodes) < len(suite.trials):
             card += f"\n\nA look at {len(episodes)} of {len(suite.trials)} trials: not a score to quote."
     except (InputError, ValueError) as error:
         return refuse(error)
     print(f"{card}\n\n{planning_text(episodes)}")
-    print(f"{time.monotonic() - began_s:.0f} s on {request.workers} workers")
+    print(f"{time.monotonic() - began_s:.0f} s on {counted(request.workers, 'worker')}")
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
         (request.out / CARD_FILE).write_text(card + "\n", encoding="utf-8")

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from mrtask.arrays import Bools, Int32s
-from mrtask.tasks.formula import Formula, check_names, parse, proposition_names, push_negations
+from mrtask.tasks.formula import Formula, FormulaError, check_names, parse, proposition_names, push_negations
 from mrtask.tasks.progression import TRUE, FormulaTooLargeError, Progression, State
 
 MAX_STATES = 10_000
@@ -96,7 +96,7 @@ class Automaton:
         """Return the automaton in Graphviz's language: accepting states have a double line, the sink is grey."""
         lines = [
             "digraph task {",
-            f'  label="{" ".join(self.formula.split())}"; labelloc=t; rankdir=LR;',
+            f"  label={_dot_text(' '.join(self.formula.split()))}; labelloc=t; rankdir=LR;",
             '  start [shape=point, label=""];',
         ]
         for state, accepts in enumerate(self.accepting):
@@ -106,7 +106,7 @@ class Automaton:
         for state, successors in enumerate(self.transitions):
             for successor in dict.fromkeys(successors.tolist()):
                 names = [name for name, to in zip(self.propositions, successors, strict=True) if to == successor]
-                lines.append(f'  {state} -> {successor} [label="{", ".join(names)}"];')
+                lines.append(f"  {state} -> {successor} [label={_dot_text(', '.join(names))}];")
         return "\n".join([*lines, "}"]) + "\n"
 
 
@@ -153,6 +153,32 @@ def build_automaton(
         sink=int(doomed[0]) if len(doomed) else -1,
         initial=0,
     )
+
+
+def check_task(automaton: Automaton) -> Automaton:
+    """Return the automaton of a task that somebody has to do something for, and can do.
+
+    Raises:
+        FormulaError: No order of interactions with its propositions satisfies the formula, or every one does.
+    """
+    if automaton.initial == automaton.sink:
+        raise FormulaError(
+            "no order of interactions does this task; an interaction is with one object at a time, so for both of two "
+            "objects write 'F a & F b', not 'F (a & b)'",
+            automaton.formula,
+            1,
+        )
+    if automaton.accepting[automaton.initial]:
+        raise FormulaError(
+            "this task is done before anything is done; say what to interact with, as in 'F a'", automaton.formula, 1
+        )
+    return automaton
+
+
+def _dot_text(text: str) -> str:
+    """Return a text as Graphviz's language quotes it."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 class _TooManyStatesError(Exception):

@@ -1,7 +1,8 @@
 """Parse co-safe LTL task formulas, with errors that point at the offending character.
 
 The grammar, from the tightest binding to the loosest: ``! X F`` (unary), ``U`` (right-associative), ``&``, ``|``,
-``->`` (right-associative); ``true``, ``false``, parentheses and object names. A formula is accepted if it is
+``->`` (right-associative); ``true``, ``false``, parentheses and object names. A name that is not just letters, digits
+and ``_``, or that is a word of the grammar, stands in double quotes: ``F "c-clamp"``. A formula is accepted if it is
 syntactically co-safe (Kupferman and Vardi, *Model Checking of Safety Properties*, 2001): when its negations are pushed
 inward, none remains in front of ``F`` or ``U``, so each satisfying run satisfies it after finitely many letters.
 """
@@ -13,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from mrtask.errors import InputError
+from mrtask.names import check_name
 
 RESERVED_WORDS = ("X", "F", "U", "G", "true", "false")
 MAX_NESTING = 100
@@ -21,9 +23,13 @@ NAMES_SHOWN = 20
 """The number of allowed names that an error lists before it only counts them."""
 
 _NAME = re.compile(r"[^\W\d]\w*")
-_TOKEN = re.compile(r"[^\W\d]\w*|->|[!&|()]")
+_QUOTE = '"'
+_TOKEN = re.compile(r'[^\W\d]\w*|->|[!&|()]|"[^"]*"')
+_GLUED = re.compile(r"[XF]{2,}")
+"""Two and more operators without spaces between, which read as a name."""
 _BINDING = {"->": 1, "|": 2, "&": 3, "U": 4}
 _GRAMMAR = "a formula has object names, true, false, ! & | -> X F U and parentheses"
+_QUOTING = 'a name with other signs stands in double quotes, as in F "c-clamp"'
 _NEVER_COMPLETED = (
     "asks for something at all times, and no finite run completes that (only co-safe formulas make tasks); "
     "say what must not happen before what, as in '!b U a'"
@@ -189,24 +195,22 @@ def check_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names as a tuple, in their order (sets are sorted), if formulas can use them as propositions.
 
     Raises:
-        ValueError: A name is reserved, not an identifier, or given twice.
+        InputError: A name is empty, or holds a double quote or a control character.
+        ValueError: A name is given twice.
     """
     if isinstance(names, str):
         raise ValueError(f"object names must be a collection of names, not the one string {names!r}; write [{names!r}]")
     checked = tuple(sorted(names)) if isinstance(names, (set, frozenset)) else tuple(names)
     for name in checked:
-        if name in RESERVED_WORDS:
-            raise ValueError(
-                f"object name {name!r} is reserved in formulas ({' '.join(RESERVED_WORDS)}); rename the object"
-            )
-        if not _NAME.fullmatch(name):
-            raise ValueError(
-                f"object name {name!r} cannot be written in a formula: use letters, digits and _, not starting with "
-                "a digit, as in RemoteControl"
-            )
+        check_name(name)
         if checked.count(name) > 1:
             raise ValueError(f"object name {name!r} is given twice; name each object once")
     return checked
+
+
+def written(name: str) -> str:
+    """Return a name as formulas write it: as it is, or in double quotes (``"c-clamp"``)."""
+    return name if _NAME.fullmatch(name) and name not in RESERVED_WORDS else f"{_QUOTE}{name}{_QUOTE}"
 
 
 class _NotCoSafe(ValueError):
@@ -237,7 +241,7 @@ class _Parser:
         if token == ")":
             raise self._error("this ')' closes nothing", position)
         if token:
-            raise self._error(f"expected an operator (& | -> U) or the end, found {token!r}", position)
+            raise self._no_operator("the end", position)
         return formula
 
     def _tokens(self) -> list[tuple[str, int]]:
@@ -250,8 +254,12 @@ class _Parser:
             elif match := _TOKEN.match(self.text, index):
                 tokens.append((match.group(), index + 1))
                 index = match.end()
+            elif self.text[index] == _QUOTE:
+                raise self._error("this double quote is never closed", index + 1)
             else:
-                raise self._error(f"unexpected character {self.text[index]!r}: {_GRAMMAR}", index + 1)
+                meant = self._unquoted_name(index)
+                hint = f", did you mean {meant}?" if meant else f": {_GRAMMAR}; {_QUOTING}"
+                raise self._error(f"unexpected character {self.text[index]!r}{hint}", index + 1)
         return [*tokens, ("", len(self.text.rstrip()) + 1)]
 
     def _binary(self, loosest: int) -> Formula:
@@ -297,12 +305,14 @@ class _Parser:
                 if not closing:
                     raise self._error("this '(' is never closed", position)
                 if closing != ")":
-                    raise self._error(f"expected an operator (& | -> U) or ')', found {closing!r}", found_at)
+                    raise self._no_operator("')'", found_at)
                 self.next += 1
                 return formula
-        if _NAME.fullmatch(token) and token not in RESERVED_WORDS:
-            self._check_known(token, position)
-            return Proposition(token, position=position)
+        if token[:1] == _QUOTE or (_NAME.fullmatch(token) and token not in RESERVED_WORDS):
+            name = token.strip(_QUOTE)
+            self._check_fit(name, position)
+            self._check_known(name, position)
+            return Proposition(name, position=position)
         found = repr(token) if token else "the end"
         raise self._error(f"expected an object name, true, false, ! X F or '(', found {found}", position)
 
@@ -314,13 +324,37 @@ class _Parser:
         yield
         self.depth -= 1
 
+    def _no_operator(self, or_what: str, position: int) -> FormulaError:
+        """Return the error that an operator is missing before the next token."""
+        found, before = self.tokens[self.next][0], self.tokens[self.next - 1][0]
+        glued = f"; did you mean {_apart(before)!r} for {before!r}?" if _GLUED.fullmatch(before) else ""
+        return self._error(f"expected an operator (& | -> U) or {or_what}, found {found!r}{glued}", position)
+
+    def _check_fit(self, name: str, position: int) -> None:
+        try:
+            check_name(name)
+        except InputError as error:
+            raise self._error(str(error), position) from None
+
+    def _unquoted_name(self, index: int) -> str:
+        """Return, in quotes, the allowed name that needs them and stands around this index of the text, or nothing."""
+        for name in sorted(self.propositions or (), key=len, reverse=True):
+            begins = self.text.rfind(name, 0, index + len(name))
+            if begins >= 0 and begins <= index < begins + len(name) and written(name) != name:
+                return written(name)
+        return ""
+
     def _check_known(self, name: str, position: int) -> None:
         if self.propositions is None or name in self.propositions:
             return
         allowed = sorted(self.propositions)
         by_lower_case = {known.lower(): known for known in allowed}
         matches = difflib.get_close_matches(name.lower(), by_lower_case)
-        suggestion = _split_operators(name, self.propositions) or (by_lower_case[matches[0]] if matches else "")
+        suggestion = (
+            self._unquoted_name(position - 1)
+            or _split_operators(name, self.propositions)
+            or (written(by_lower_case[matches[0]]) if matches else "")
+        )
         more = f", ... ({len(allowed)} in all)" if len(allowed) > NAMES_SHOWN else ""
         raise self._error(
             f"unknown object {name!r}{f', did you mean {suggestion!r}?' if suggestion else ''}; "
@@ -332,10 +366,16 @@ class _Parser:
         return FormulaError(message, self.text, position)
 
 
+def _apart(operators: str) -> str:
+    return " ".join(operators)
+
+
 def _split_operators(word: str, allowed: Collection[str]) -> str:
-    """Return ``F a`` for ``Fa``, ``a U b`` for ``aUb`` (operators glued to allowed names), or an empty string."""
+    """Return ``F a`` for ``Fa``, ``a U b`` for ``aUb``, ``X F`` for ``XF`` (operators without spaces), or nothing."""
     if word in allowed:
         return word
+    if _GLUED.fullmatch(word):
+        return _apart(word)
     if word[:1] in ("X", "F") and (rest := _split_operators(word[1:], allowed)):
         return f"{word[0]} {rest}"
     for index, letter in enumerate(word):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from string import ascii_lowercase
 
-from mrtask.tasks.formula import check_names
+from mrtask.tasks.formula import check_names, written
 
 
 @dataclass(frozen=True)
@@ -64,4 +64,4 @@ def make_formula(template: str, objects: Sequence[str]) -> str:
             f"template {template!r} ({chosen.meaning}) takes {chosen.arity} objects, not {len(names)}: "
             f"{', '.join(names) or 'none'}"
         )
-    return chosen.text.format(**dict(zip(ascii_lowercase, names, strict=False)))
+    return chosen.text.format(**dict(zip(ascii_lowercase, map(written, names), strict=False)))

@@ -2,6 +2,9 @@
 
 A user's mistake (wrong key, missing file, no champion, ...) ends in one message on stderr and exit code 2, an interrupt
 in exit code 130; anything else is a bug and keeps its traceback.
+
+What stages work with takes seconds to import. So a stage's module calls `main` before its other imports, and what this
+module imports knows nothing of them: ``--help`` and mistakes in the configuration are answered at once.
 """
 
 import atexit
@@ -11,11 +14,13 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+from typing import NoReturn
 
 import hydra
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -31,22 +36,30 @@ from pipeline.base import interrupt
 from pipeline.base.config import CONF_DIR
 from pipeline.base.sections import Cluster
 
+_QUOTED_FOR_HYDRA = re.compile(r"""'.*'|"[^"]*"(,"[^"]*")*""")
+"""What already has Hydra's quotes. Double ones may also begin a formula, around the name of an object."""
+_COMMA = re.compile(r',(?=(?:[^"]*"[^"]*")*[^"]*$)')
+"""A comma with an even number of double quotes after it: it stands outside of them."""
 FORMULA_KEY, TASK_KEY = "evaluation.formula", "evaluation.task"
 
 
-def main(module_name: str) -> None:
-    """Run the module's ``STAGE`` with the configuration from the command line."""
-    _prepare_process(module_name)
+def main(module_name: str, shorthands: Mapping[str, str] = MappingProxyType({})) -> NoReturn:
+    """Run the module's ``STAGE`` with the configuration from the command line, and end the process.
+
+    Args:
+        module_name: the stage's module.
+        shorthands: keys that the stage also takes without their group: ``trial_id`` -> ``replay.trial_id``.
+    """
+    _prepare_process(module_name, shorthands)
     try:
-        with interrupt.remembered():
+        with interrupt.remembered(), sweep.recorded():
             hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, InputError) as error:
         sys.exit(refuse(_friendly(str(error))))
-    except KeyboardInterrupt as stop:
-        if running := sweep.under_way():
-            running.interrupted(stop)
+    except KeyboardInterrupt:
         print(interrupt.MESSAGE, file=sys.stderr)
         sys.exit(INTERRUPT_EXIT)
+    sys.exit()
 
 
 class _Workers:
@@ -71,8 +84,9 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
     def task(composed: DictConfig) -> None:
         try:
             config = schema.load(composed)
-            # Imported by name even when it is __main__, so that workers find what it sends them.
-            stage: Stage = importlib.import_module(module_name).STAGE
+            with interrupt.importing():
+                # Imported by name even when it is __main__, so that workers find what it sends them.
+                stage: Stage = importlib.import_module(module_name).STAGE
             pool = workers.of(config.cluster)
             if running := sweep.under_way():
                 running.run_cell(stage, config, HydraConfig.get().overrides.task, pool)
@@ -84,16 +98,18 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
     return task
 
 
-def _prepare_process(module_name: str) -> None:
+def _prepare_process(module_name: str, shorthands: Mapping[str, str]) -> None:
     # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.excepthook = _print_exception
-    sys.argv = [_for_hydra(argument) for argument in sys.argv]
+    sys.argv[1:] = [_for_hydra(argument) for argument in _flags_first(sys.argv[1:])]
+    if not any(argument.startswith("hydra.mode=") for argument in sys.argv):
+        # Hydra would compose the whole configuration twice, first only to look for this key, which ours does not set.
+        Hydra.get_mode = lambda *_, **__: None  # type: ignore[method-assign]
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
-    module = importlib.import_module(module_name)
-    sys.argv[1:] = [_written_out(argument, module.STAGE.shorthands) for argument in sys.argv[1:]]
-    stage_help = module.__doc__ if "--help" in sys.argv else ""
+    sys.argv[1:] = [_written_out(argument, shorthands) for argument in sys.argv[1:]]
+    stage_help = sys.modules["__main__"].__doc__ if "--help" in sys.argv else ""
     for name, value in (
         ("stage_name", module_name),
         ("stage_help", stage_help),
@@ -108,18 +124,27 @@ def _print_exception(kind: type[BaseException], error: BaseException, trace: Tra
     print(without_secrets("".join(traceback.format_exception(kind, error, trace))), end="", file=sys.stderr)
 
 
+def _flags_first(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with ``-m`` first: Hydra's parser reads no override after one that stands in the middle."""
+    return sorted(arguments, key=lambda argument: argument not in ("-m", "--multirun"))
+
+
 def _for_hydra(argument: str) -> str:
     """Return an argument in Hydra's grammar: formulas and tasks in quotes, which the shell has removed."""
     if argument == "--dry-run":
         return "dry_run=true"
     key, equals, text = argument.partition("=")
     name = key.lstrip("+")
-    if name not in (FORMULA_KEY, TASK_KEY) or not equals or text == "null" or text.startswith(("'", '"')):
+    if name not in (FORMULA_KEY, TASK_KEY) or not equals or text == "null" or _QUOTED_FOR_HYDRA.fullmatch(text):
         return argument
-    if name == TASK_KEY:
-        return f"{key}='{text.strip()}'"
-    # In a formula, unlike in words, a comma can only separate the values of a sweep.
-    return f"{key}=" + ",".join(f"'{formula.strip()}'" for formula in text.split(","))
+    # In a formula, unlike in words, a comma outside of a name in quotes can only separate the values of a sweep.
+    values = [text] if name == TASK_KEY else _COMMA.split(text)
+    return f"{key}=" + ",".join(_quoted(value.strip()) for value in values)
+
+
+def _quoted(value: str) -> str:
+    escaped = value.replace("'", r"\'")
+    return f"'{escaped}'"
 
 
 def _written_out(argument: str, shorthands: Mapping[str, str]) -> str:

@@ -15,7 +15,8 @@ from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planners import make_planner
 from pipeline.base.config import CONF_DIR, UserError
-from pipeline.base.values import LocalPath, Positive, Section
+from pipeline.base.sections import MODEL_URI, MODEL_URIS
+from pipeline.base.values import LocalPath, Positive, Section, spelled
 
 SCENARIOS = CONF_DIR / "scenario"
 CATALOGUE, UNIFORM = "catalogue", "uniform"
@@ -38,7 +39,7 @@ class MapTask(Section):
     containers: Existing
     task: str = Field(min_length=1)
     objects: tuple[str, ...]
-    likelihood: str = Field(pattern="^(catalogue|uniform|(models|runs):/.+)$")
+    likelihood: Annotated[str, spelled(f"catalogue|uniform|{MODEL_URI}", f"catalogue, uniform, {MODEL_URIS}")]
     tracking_uri: str = Field(min_length=1)
     speed_m_per_s: float = Field(gt=0)
     search_time_s: float = Field(ge=0)

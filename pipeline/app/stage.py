@@ -1,8 +1,8 @@
 """A stage as its module declares it, and the one way to start it: dry or real, with its folder locked."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from pipeline.backends.pool import Pool
@@ -41,21 +41,28 @@ class Job(Protocol):
         """Say line by line what `run` would do. This leaves no file behind but in the cache."""
 
 
+def _nothing(config: Config) -> None:
+    pass
+
+
 @dataclass(frozen=True)
 class Stage:
     """What the module of a stage declares as ``STAGE``."""
 
     job: Callable[[Config], Job]
     """Resolves the configuration, without any work."""
+    check: Callable[[Config], None] = _nothing
+    """Refuses what can be known to be wrong before any work; of a sweep's cells, before the first one runs."""
     locks: Literal["always", "to draw", "never"] = "always"
     """When the stage holds ``output_dir``, so that no other run writes there: always, with ``draw=true``, never."""
     compare: "Stage | None" = None
     """Compares the cells of a sweep, from the sweep's configuration; for stages that leave episodes."""
-    shorthands: Mapping[str, str] = field(default_factory=dict)
-    """Keys that the stage also takes without their group: ``trial_id`` -> ``replay.trial_id``."""
 
     def start(self, config: Config, session: Session) -> None:
-        """Run the stage, or with ``dry_run=true`` say what it would do."""
+        """Check, then run the stage, or with ``dry_run=true`` say what it would do."""
+        self.check(config)
+        for name in config.idle_variants:
+            console.line(f"planner_variants.{name} does not run: evaluation.planners does not list it")
         job = self.job(config)
         if config.dry_run:
             console.headline("dry run", "nothing is written")

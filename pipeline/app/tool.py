@@ -16,7 +16,8 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
 from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
-from pipeline.base.config import CONF_DIR, UserError, explain_error, suggest
+from mrtask.names import suggest
+from pipeline.base.config import CONF_DIR, UserError, explain_error
 
 _Options = TypeVar("_Options", bound=BaseModel)
 

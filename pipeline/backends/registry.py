@@ -7,6 +7,7 @@ loss than the champion's on test homes that neither was trained on. To roll back
 """
 
 import json
+import re
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -100,6 +101,7 @@ def register_model(run: Run, trained: TrainedModel, dataset: Dataset) -> Registr
         ).version
         promoted, reason = _challenge(run.tracking, trained, dataset)
         client.set_model_version_tag(MODEL_NAME, version, "promotion", reason)
+        client.update_model_version(MODEL_NAME, version, description=f"{trained.model.kind}: {reason}")
         if promoted:
             client.set_registered_model_alias(MODEL_NAME, CHAMPION_ALIAS, version)
     return Registration(str(version), promoted, reason)
@@ -142,6 +144,32 @@ def is_registered(tracking: Tracking, version: str) -> bool:
     return True
 
 
+def champion_version(tracking: Tracking) -> str | None:
+    """Return the version that is champion; None where there is none."""
+    mlflow.set_tracking_uri(tracking.uri)
+    try:
+        aliases = mlflow.MlflowClient().get_registered_model(MODEL_NAME).aliases
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
+        return None
+    return str(aliases[CHAMPION_ALIAS]) if CHAMPION_ALIAS in aliases else None
+
+
+def logged_model_id(tracking: Tracking, version: str) -> str | None:
+    """Return MLflow's id of the model behind a version; None for a model that was not registered."""
+    mlflow.set_tracking_uri(tracking.uri)
+    try:
+        found = mlflow.MlflowClient().get_model_version(MODEL_NAME, version)
+    except MlflowException as error:
+        if error.error_code not in ("RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE"):
+            raise
+        return None
+    # An SQL store keeps the id only in the version's source, ``models:/<id>``.
+    of_source = re.fullmatch(r"models:/(m-\w+)", found.source or "")
+    return of_source[1] if of_source else None
+
+
 def version_uri(version: str) -> str:
     """Return the URI of a version of our model."""
     return f"models:/{MODEL_NAME}/{version}"
@@ -176,8 +204,9 @@ def versions(tracking: Tracking) -> list[Version]:
     aliases = client.get_registered_model(MODEL_NAME).aliases if found else {}
     listed = []
     for one in sorted(found, key=lambda version: int(version.version)):
-        run = client.get_run(one.run_id)
-        training = [given.dataset.digest for given in run.inputs.dataset_inputs if given.dataset.name.endswith("train")]
+        run = client.get_run(str(one.run_id))
+        inputs = run.inputs.dataset_inputs if run.inputs is not None else []
+        training = [given.dataset.digest for given in inputs if given.dataset.name.endswith("train")]
         listed.append(
             Version(
                 number=str(one.version),

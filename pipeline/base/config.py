@@ -4,20 +4,25 @@ Hydra composes ``conf/`` and the command line; `load` turns the result into froz
 starts. Only ``conf/`` holds defaults. The sections are in `pipeline.base.sections` and `pipeline.base.studies`.
 """
 
-import difflib
 import hashlib
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.likelihood.choice import LikelihoodChoice
-from mrtask.planning.planners import PLANNERS
+from mrtask.homes.catalogue import load_catalogue
+from mrtask.likelihood.options import LikelihoodChoice
+from mrtask.names import did_you_mean, suggest
+from mrtask.planning.planners import PLANNERS, check_planner_name
+from mrtask.tasks.automaton import build_automaton, check_task
+from mrtask.tasks.formula import parse
+from mrtask.validation import problem
 from pipeline.base.sections import (
     HOME_SOURCES,
     Belief,
@@ -36,7 +41,7 @@ from pipeline.base.sections import (
 )
 from pipeline.base.specs import EvaluationSpec, HomesSpec, MapOptions, PlannerSpec, TrainingSpec
 from pipeline.base.studies import Ablation, Housekeep, Optimality, Priors, Realism, Replay, Sensitivity
-from pipeline.base.values import LocalPath, Location, Section, absolute
+from pipeline.base.values import LocalPath, Location, Section, absolute, distinct, listed, spelled
 
 CONF_DIR = Path(__file__).resolve().parents[2] / "conf"
 """The folder with the defaults of all keys."""
@@ -46,6 +51,8 @@ class UserError(InputError):
     """A mistake in the configuration, or in what it points to."""
 
 
+LONGEST_SHOWN = 80
+"""How many characters of a wrong value a message repeats."""
 UNIONS = {"homes": HOME_SOURCES, "model": get_args(ModelKind)}
 """Sections whose keys depend on their kind, with the kinds."""
 
@@ -67,8 +74,9 @@ class Config(Section):
     contents: Contents
     model: Model
     trainer: Trainer
+    rivals: Annotated[tuple[ModelKind, ...], BeforeValidator(listed), AfterValidator(distinct)]
     planner: dict[str, dict[str, Any]]
-    planner_variants: dict[Annotated[str, Field(pattern=r"^[\w:-]+$")], PlannerVariant]
+    planner_variants: dict[Annotated[str, spelled(r"[\w:-]+", "names of letters, digits, _, - and :")], PlannerVariant]
     belief: Belief
     likelihood: Likelihood
     perception: Perception
@@ -104,6 +112,12 @@ class Config(Section):
     def training_spec(self) -> TrainingSpec:
         """Which model to train."""
         return TrainingSpec(self.model, self.trainer, self.seed, self.tracking, self.datasets_dir, self.cache_dir)
+
+    @property
+    def idle_variants(self) -> tuple[str, ...]:
+        """The variants that are among no stage's planners, so that nothing runs them."""
+        named = {*self.evaluation.planners, *self.optimality.planners}
+        return tuple(name for name in self.planner_variants if name not in named)
 
     def evaluation_spec(self, planners: Sequence[str] | None = None) -> EvaluationSpec:
         """Return what to evaluate: the configured planners, or these."""
@@ -141,6 +155,7 @@ def load(composed: DictConfig) -> Config:
     except ValidationError as error:
         raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
     _check_planners(config)
+    _check_formula(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
             "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
@@ -170,24 +185,38 @@ def _read_formula(plain: Any) -> None:
     options["formula_file"] = None
 
 
+def _check_formula(config: Config) -> None:
+    """Refuse a formula that is no task; its objects, as far as they can be known before the homes are made."""
+    formula, homes = config.evaluation.formula, config.homes
+    if formula is None:
+        return
+    check_task(build_automaton(formula))
+    if homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files:
+        kinds = [kind for containers in load_catalogue().objects.values() for kind in containers.values()]
+        parse(formula, {name for kind in kinds for name in kind["likelihoods"]})
+
+
 def _check_planners(config: Config) -> None:
+    named: dict[str, tuple[str, ...]] = {f"planner_variants.{name}": (name,) for name in config.planner_variants}
+    named |= {"evaluation.planners": config.evaluation.planners, "optimality.planners": config.optimality.planners}
+    specs = [(key, config.spec(name)) for key, names in named.items() for name in names]
+    for key, spec in specs:  # of all, before a compiled search is imported
+        _refuse(key, check_planner_name, spec.planner)
     for name in config.planner_variants:
         if name in PLANNERS:
             raise UserError(f"planner_variants.{name}: is a planner's own name; give the variant another")
-        _check_planner(f"planner_variants.{name}", config.spec(name))
-    for name in config.evaluation.planners:
-        _check_planner("evaluation.planners", config.spec(name))
-    for name in config.optimality.planners:
-        _check_planner("optimality.planners", config.spec(name))
+    for key, spec in specs:
+        _refuse(key, spec.make)
     behind = [config.spec(name).planner for name in config.evaluation.planners]
     own = {planner.rsplit(".", 1)[-1] for planner in behind if "." in planner}
     for name in config.planner.keys() - own:
-        _check_planner("planner", PlannerSpec(name, name, config.planner[name]))
+        _refuse("planner", PlannerSpec(name, name, config.planner[name]).make)
 
 
-def _check_planner(key: str, spec: PlannerSpec) -> None:
+def _refuse(key: str, check: Callable[..., object], *arguments: object) -> None:
+    """Run a check of what a key says; raises `UserError` with the key's name where it fails."""
     try:
-        spec.make()
+        check(*arguments)
     except ValueError as error:
         raise UserError(f"{key}: {error}") from error
 
@@ -215,10 +244,18 @@ def explain_error(item: Any) -> str:
     if kind in _BOUNDS:
         message = "must be " + _BOUNDS[kind].format(**context)
     elif kind in ("literal_error", "union_tag_invalid"):
-        message = "allowed: " + context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
+        expected = context.get("expected", context.get("expected_tags", "")).replace(" or ", ", ")
+        words = re.findall("'([^']*)'", expected)
+        message = f"{did_you_mean(str(given), words)}allowed: {expected}"
     else:
-        message = item["msg"].removeprefix("Value error, ")
-    return f"{key}={given}: {message}"
+        message = problem(item)
+    # A section that contradicts itself is not repeated: its message names the keys.
+    return f"{key}: {message}" if isinstance(given, dict) else f"{key}={_in_short(given)}: {message}"
+
+
+def _in_short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _suggest_keys(path: list[str]) -> str:
@@ -239,12 +276,6 @@ def _suggest_keys(path: list[str]) -> str:
 def explain_unknown_key(key: str) -> str:
     """Return what to say about a key that the configuration does not have."""
     return f"{key}: no such key; {_suggest_keys(key.split('.'))}"
-
-
-def suggest(word: str, allowed: list[str]) -> str:
-    """Return a hint: the nearest allowed word, if one is near, and all allowed words."""
-    near = difflib.get_close_matches(word, allowed, n=1)
-    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(allowed)}"
 
 
 def content_hash(content: object) -> str:

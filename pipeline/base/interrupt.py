@@ -45,6 +45,16 @@ def rearm() -> None:
         signal.signal(signal.SIGTERM, _handle)
 
 
+@contextmanager
+def importing() -> Iterator[None]:
+    """Let an interrupt end the process with one line while the context runs: half an import cannot be undone."""
+    before = signal.signal(signal.SIGINT, _leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def check() -> None:
     """Raise `KeyboardInterrupt` if there was an interrupt."""
     if requested():

@@ -10,8 +10,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from mrtask.execution import perception
 from mrtask.tasks.templates import TEMPLATES
-from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed
+from pipeline.base.values import LocalPath, Positive, Section, Share, absolute, distinct, listed, spelled
 
+MODEL_URI = "(models|runs):/.+"
+MODEL_URIS = "models:/NAME/VERSION, models:/NAME@ALIAS or runs:/RUN/model"
 SizeClass = Literal["small", "medium", "large"]
 HomeContents = Literal["procthor", "housekeep"]
 
@@ -85,7 +87,7 @@ class Contents(Section):
     """How contents are drawn with ``homes.contents=housekeep``."""
 
     file: LocalPath | None
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None
+    sha256: Annotated[str, spelled("[0-9a-f]{64}", "64 hexadecimal digits, as sha256sum prints them")] | None
     objects: Literal["all", "train", "val", "test"]
     splits: LocalPath | None
     table: LocalPath | None
@@ -231,7 +233,7 @@ class Evaluation(Section):
     unsearched_share: tuple[Share, Share]
     cost: Literal["makespan", "least_motion"]
     homes: EvaluationHomes
-    model_uri: str = Field(pattern="^(models|runs):/")
+    model_uri: Annotated[str, spelled(MODEL_URI, MODEL_URIS)]
     episode_timeout_s: float = Field(gt=0)
     max_failed_fraction: float = Field(ge=0, le=1)
     rerun: Annotated[tuple[Literal["error", "timeout", "failed"], ...], BeforeValidator(listed)]
@@ -277,7 +279,7 @@ class PlannerVariant(Section):
 class Cluster(Section):
     """Where Ray runs, and how much of it a run may use."""
 
-    address: str = Field(pattern=r"^(local|auto|ray://.+|[^:/]+:\d+)$")
+    address: Annotated[str, spelled(r"local|auto|ray://.+|[^:/]+:\d+", "local, auto, ray://HOST:PORT or HOST:PORT")]
     cpus: Positive | None
     memory_per_task_gb: float = Field(gt=0)
     retries: int = Field(ge=0)

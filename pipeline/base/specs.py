@@ -6,12 +6,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mrtask.homes.home import Home
-from mrtask.likelihood.choice import LikelihoodChoice
-from mrtask.maps.cache import cached_map
-from mrtask.maps.home_map import HomeMap
+from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.planning.planners import make_planner
 from mrtask.planning.problem import Planner
 from pipeline.base.sections import (
@@ -27,6 +24,10 @@ from pipeline.base.sections import (
     Tracking,
     Trainer,
 )
+
+if TYPE_CHECKING:
+    from mrtask.homes.home import Home
+    from mrtask.maps.home_map import HomeMap
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,10 @@ class MapOptions:
     grid: Map
     cache_dir: Path
 
-    def map_of(self, home: Home) -> HomeMap:
+    def map_of(self, home: "Home") -> "HomeMap":
         """Return the home's map, from the cache if it is there."""
+        from mrtask.maps.cache import cached_map  # maps take seconds to import, and a mistake should be told at once
+
         return cached_map(home, self.cache_dir / "maps", **self.grid.model_dump())
 
 

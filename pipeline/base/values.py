@@ -3,6 +3,7 @@
 Relative paths are relative to the caller's folder.
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +33,17 @@ def distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(values)) != len(values):
         raise ValueError(f"each may be given once, got {', '.join(map(str, values))}")
     return values
+
+
+def spelled(pattern: str, allowed: str) -> AfterValidator:
+    """Return a validator of texts that match a pattern; it refuses others by saying what is ``allowed``."""
+
+    def check(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise ValueError(f"allowed: {allowed}")
+        return text
+
+    return AfterValidator(check)
 
 
 LocalPath = Annotated[Path, AfterValidator(absolute)]

@@ -1,18 +1,19 @@
 """Plans an evaluation: its episodes, what they share, and the identity that its rows carry."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 
 from mrtask.execution.team_spec import RobotSpec
-from mrtask.execution.trials import TrialOptions
+from mrtask.execution.trials import TrialOptions, can_serve, check_formula, objects_in
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions
-from mrtask.likelihood.choice import LikelihoodChoice
 from mrtask.likelihood.model import LikelihoodModel
+from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.likelihood.table import build_table
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
+from mrtask.names import counted
 from mrtask.tasks.words import read_task
 from pipeline.backends import registry, runs
 from pipeline.backends.pool import Pool
@@ -21,14 +22,14 @@ from pipeline.base import console
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Evaluation, EvaluationHomes
 from pipeline.base.specs import EvaluationSpec, PlannerSpec
-from pipeline.episodes.worker import Context, EpisodeKey, Provenance, formula_objects
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance
 from pipeline.inputs import homes
 from pipeline.store.artifacts import NotMade
 from pipeline.store.folder import Folder
 from pipeline.store.home_files import check_files, count_by_size_class, say_faults
 from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import IDENTITY
-from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity
+from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import Key
 from pipeline.store.version import RESULT_SOURCES, code_version, source_hash
 
@@ -49,6 +50,8 @@ class EvaluationPlan:
     contents_are_drawn: bool
     """Whether the homes' contents were drawn from the catalogue, so that their true likelihoods are known."""
     spec: EvaluationSpec
+    rivals: tuple[TrainedModelRecord, ...] = ()
+    """The versions that the command trained beside the one that plans."""
 
     @property
     def planners(self) -> tuple[str, ...]:
@@ -71,13 +74,17 @@ class EvaluationPlan:
 
 
 def check(options: Evaluation) -> None:
-    """Refuse, before any work, a wrong formula or task and files that do not exist."""
-    if options.formula is not None:
-        formula_objects(options.formula)
+    """Refuse, before any work, a task in words that is none and files that do not exist."""
     if options.task is not None:
-        read_task(options.task, None, ())
+        read_task(options.task, None, (), checked_later=True)
     check_files("evaluation.homes.files", options.homes.files)
     check_files("evaluation.homes.assets", [options.homes.assets])
+
+
+def check_task_in(options: Evaluation, home_set: HomeSet) -> None:
+    """Refuse a task with an object that none of the homes has, as soon as there are homes."""
+    if options.task is not None or options.formula is not None:
+        task_of(options, home_set.evaluation_homes(options.homes)[1])
 
 
 def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
@@ -88,18 +95,27 @@ def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
         UserError: the evaluation cannot be run as configured.
     """
     check(spec.options)
+    found = homes.make(spec.homes, None) if spec.dry_run else None
+    if found is not None:
+        check_task_in(spec.options, found)
     model = load_model(spec)
-    return plan_evaluation(spec, homes.make(spec.homes, None if spec.dry_run else pool), model)
+    return plan_evaluation(spec, found or homes.make(spec.homes, pool), model)
 
 
-def load_model(spec: EvaluationSpec) -> RegisteredModel:
-    """Return the configured model; for a run that is continued, the version that it began with."""
-    if spec.dry_run and runs.is_new(spec.tracking.uri):
-        raise NotMade("no model is registered yet; python -m pipeline.train trains one")
-    begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
+def load_model(spec: EvaluationSpec, trained: str | None = None) -> RegisteredModel:
+    """Return the configured model.
+
+    In place of the champion it is the version that this command has ``trained``, or for a run that is continued the
+    version that it began with.
+    """
+    if runs.is_new(spec.tracking.uri):
+        uri, store = spec.options.model_uri, spec.tracking.uri
+        raise NotMade(f"no usable model {uri}: there is no store {store} yet; python -m pipeline.train trains one")
     uri = spec.options.model_uri
-    if begun is not None and uri == registry.CHAMPION_URI:
-        uri = registry.version_uri(begun.model_version)
+    if uri == registry.CHAMPION_URI:
+        begun = None if spec.overwrite else RunIdentity.read(Folder(spec.output_dir), IDENTITY)
+        version = begun.model_version if trained is None and begun is not None else trained
+        uri = uri if version is None else registry.version_uri(version)
     tracking = runs.open_tracking(spec.tracking.uri, spec.tracking.experiment_name)
     return registry.load_registered(tracking, uri, spec.maps.cache_dir)
 
@@ -115,6 +131,8 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
     size_classes = _size_classes(options.size_classes, evaluated)
     identity = _identity(spec, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
+    if formula is not None:
+        _check_served(formula, objects, [home for home in unseen if home.size_class in size_classes])
     drawn = configured.source == "generated" and configured.contents == "procthor" and not options.homes.files
     truth: LikelihoodModel | None = None
     if any(planner.likelihood.source == "truth" for planner in planners):
@@ -157,12 +175,30 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
 
 
 def task_of(options: Evaluation, homes: Sequence[Home]) -> tuple[str | None, tuple[str, ...]]:
-    """Return the configured formula, or that of the task in words about these homes, and its objects; or None."""
+    """Return the configured formula, or that of the task in words, and its objects; or None.
+
+    Raises:
+        InputError: none of these homes has an object of the task.
+    """
     if options.task is not None:
-        names = {name for home in homes for container in home.containers for name in container.objects}
-        read = read_task(options.task, names, ())
+        read = read_task(options.task, objects_in(homes), ())
         return read.formula, read.propositions
-    return options.formula, formula_objects(options.formula) if options.formula is not None else ()
+    return options.formula, check_formula(options.formula, homes) if options.formula is not None else ()
+
+
+def _check_served(formula: str, objects: tuple[str, ...], homes: Sequence[Home]) -> None:
+    """Say in how many of the homes the task cannot be done; raises `UserError` for a size class with no other."""
+    fitting = Counter(home.size_class for home in homes if can_serve(formula, objects, objects_in([home])))
+    everywhere = Counter(home.size_class for home in homes)
+    if none := [name for name in everywhere if not fitting[name]]:
+        raise UserError(
+            f"no {' and no '.join(none)} home has what the task {formula!r} needs in its containers; give more homes "
+            "(homes.test, evaluation.homes.files), other evaluation.size_classes or another task"
+        )
+    if lacking := everywhere.total() - fitting.total():
+        console.line(
+            f"{lacking} of {everywhere.total()} homes lack what the task needs: its trials are drawn among the others"
+        )
 
 
 def episode_keys(spec: EvaluationSpec, size_classes: Sequence[str]) -> tuple[EpisodeKey, ...]:
@@ -185,7 +221,9 @@ def _unseen_homes(
         say_faults(read_from)
     unseen = tuple(home for home in found if home.id not in model.training_homes)
     if len(unseen) < len(found):
-        console.line(f"{len(found) - len(unseen)} evaluation homes left out: the model has seen them in training")
+        console.line(
+            f"{counted(len(found) - len(unseen), 'evaluation home')} left out: the model has seen them in training"
+        )
     return unseen, EvaluatedHomes(
         source="procthor" if options.files else set_source,
         files=read_from.paths,

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from mrtask.names import counted
 from mrtask.planning.planners import PLANNERS
 from pipeline.backends import runs
 from pipeline.backends.nodes import HeadLost
@@ -40,7 +41,7 @@ def map_homes(context: Context, pool: Pool) -> Reach:
     mapped = pool.values(map_home, range(len(context.homes)), context, unit="homes mapped")
     containers, reachable = (sum(counts) for counts in zip(*(counts for _, counts in mapped), strict=True))
     reach = Reach(containers=containers, reachable=reachable)
-    console.line(f"{len(context.homes)} homes mapped, {reach.share:.2%} of their containers reachable")
+    console.line(f"{counted(len(context.homes), 'home')} mapped, {reach.share:.2%} of their containers reachable")
     return reach
 
 
@@ -115,6 +116,8 @@ class _Posts:
 
     def post(self) -> None:
         """Leave a record when it is time."""
+        if not self.done:  # a run without rows leaves nothing
+            return
         if time.monotonic() - self._posted_s >= POST_EVERY_S:
             self._posted_s = time.monotonic()
             record = self._record("running")
@@ -126,6 +129,8 @@ class _Posts:
 
     def end(self, state: Literal["finished", "interrupted", "failed"], message: str = "") -> None:
         """Leave the last record; a store that does not take it is not waited for."""
+        if not self.done:
+            return
         with contextlib.suppress(UserError):
             self._folder.write(PROGRESS, self._record(state, message).to_json(), patient=False)
 

@@ -19,7 +19,6 @@ from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_o
 from mrtask.likelihood.choice import chosen_likelihood
 from mrtask.likelihood.table import LikelihoodTable
 from mrtask.maps.home_map import HomeMap
-from mrtask.tasks.automaton import build_automaton
 from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 
@@ -232,8 +231,3 @@ class Bench:
 def bench_of(context: Context) -> Bench:
     """Return the bench of a context; a worker keeps one at a time."""
     return Bench(context)
-
-
-def formula_objects(formula: str) -> tuple[str, ...]:
-    """Return the objects of a formula in order of appearance; raises `FormulaError` where the formula is wrong."""
-    return build_automaton(formula).propositions

@@ -12,6 +12,7 @@ from mrtask.homes.generator import house
 from mrtask.homes.generator.house import write_houses
 from mrtask.homes.split import HomeSplit, split_homes
 from mrtask.likelihood.rows import SPLITS
+from mrtask.names import counted
 from mrtask.sources import hash_module
 from pipeline.backends.pool import Pool
 from pipeline.base import console
@@ -131,11 +132,12 @@ def _houses(options: GeneratedHomes | HousesInFiles, datasets_dir: Path, pool: P
 
 def _generated(options: GeneratedHomes, datasets_dir: Path, pool: Pool | None) -> HouseFiles:
     """Return the generator's houses, made unless they are there: they depend only on seed, number and code."""
-    console.headline("homes", f"{options.total} generated homes, seed {options.seed}")
+    console.headline("homes", f"{counted(options.total, 'generated home')}, seed {options.seed}")
     key = content_hash([options.seed, options.total, hash_module(house.__name__)])
     folder = datasets_dir / "generated" / key
     if artifacts.find_manifest(folder, GeneratedHousesManifest) is None:
         maker = _refuse_in_dry_run(pool)
+        maker.start()
 
         def fill(temporary: Path) -> GeneratedHousesManifest:
             houses = write_houses(temporary / GENERATED_FILE, _generate(options.seed, options.total, maker))
@@ -172,11 +174,9 @@ def _read_maps(options: RosMapHomes) -> MapFiles:
     maps = MapFiles(maps=options.map, containers=options.containers, worlds=options.worlds, seed=options.seed)
     worlds = maps.read()
     layouts = distinct_layouts(worlds)
-    sizes = ", ".join(
-        f"{home.source} ({home.size_class}, {home.area_m2:.0f} m2, {len(home.containers)} containers)"
-        for home in layouts
-    )
-    console.headline("maps", sizes)
+    console.headline("maps", ", ".join(scan.home.source for scan in maps.scans()))
+    for scan in maps.scans():
+        console.text("\n".join(scan.told))
     console.line(f"{len(worlds)} worlds to evaluate on" if len(worlds) > len(layouts) else "contents as listed")
     return maps
 
@@ -213,6 +213,6 @@ def describe(manifest: HomesManifest) -> str:
     sizes = ", ".join(f"{count} {name}" for name, count in manifest.by_size_class.items())
     parts = manifest.split
     return (
-        f"{manifest.homes} homes ({sizes}), {manifest.containers} containers: {len(parts.train)} to train on, "
-        f"{len(parts.validation)} for early stopping, {len(parts.test)} to evaluate on"
+        f"{counted(manifest.homes, 'home')} ({sizes}), {counted(manifest.containers, 'container')}: "
+        f"{len(parts.train)} to train on, {len(parts.validation)} for early stopping, {len(parts.test)} to evaluate on"
     )

@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,11 +55,15 @@ def options(wanted: TrainingSpec) -> TrainingOptions:
 
 def preset(wanted: TrainingSpec, kind: str) -> TrainingOptions:
     """Return the options of a kind's own preset, on the configured embedding and without checkpoints."""
+    return replace(options(rival(wanted, kind)), checkpoint_dir=None)
+
+
+def rival(wanted: TrainingSpec, kind: str) -> TrainingSpec:
+    """Return the training of another kind of model by its own preset, on the configured embedding."""
     preset = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "model" / f"{kind}.yaml"))
     model = TypeAdapter[Model](Model).validate_python(preset)
     configured = wanted.model.model_dump(include=type(model).model_fields.keys() - {"kind", "layers"})
-    of_kind = options(replace(wanted, model=model.model_copy(update=configured)))
-    return replace(of_kind, checkpoint_dir=None)
+    return replace(wanted, model=model.model_copy(update=configured))
 
 
 def train(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
@@ -81,6 +86,21 @@ def train(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
     _say(record)
     console.result(f"{registry.MODEL_NAME} version {record.model_version}", time.monotonic() - began_s)
     return record
+
+
+def choose(trained: Sequence[TrainedModelRecord]) -> TrainedModelRecord:
+    """Return the version with the least log loss on the test homes, the first of equals; of several, say which.
+
+    All were trained on one dataset, so they were measured on the same homes, which none of them has seen.
+    """
+    best, *others = sorted(trained, key=lambda record: record.metrics["log_loss"])
+    if others:
+        beaten = ", ".join(f"{one.metrics['log_loss']:.5f} of {one.kind}" for one in others)
+        console.line(
+            f"{best.kind} plans (version {best.model_version}): log loss {best.metrics['log_loss']:.5f} against "
+            f"{beaten} on the same {best.test_homes} test homes"
+        )
+    return best
 
 
 def find(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
@@ -172,3 +192,6 @@ def _say(record: TrainedModelRecord) -> None:
     )
     console.line(f"test homes: {own}; the frequency table: {table}")
     console.line(f"version {record.model_version}: {record.note}")
+    if not record.champion:
+        uri = registry.version_uri(record.model_version)
+        console.line(f"evaluations use the champion; to use this version all the same: evaluation.model_uri={uri}")

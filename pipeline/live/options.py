@@ -3,7 +3,7 @@
 import ipaddress
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -23,7 +23,10 @@ class TeamOptions(MapTask):
     decide_by: str
     perception: Perception
     state: LocalPath | None
+    unsaved: Literal["stand_still", "go_on"]
     log: LocalPath | None
+    lost_after_s: float | None = Field(gt=0)
+    own_clock: bool
     websocket: str | None
     token: str | None
 

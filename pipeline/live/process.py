@@ -15,24 +15,28 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
+from io import TextIOWrapper
 
 from mrtask.execution.scenario import prior, task_in, with_places
 from mrtask.live.live_team import LiveTeam
 from mrtask.live.session import MAX_BYTES, LiveSession
 from mrtask.live.state import LiveSetup
-from mrtask.live.store import restore
-from mrtask.maps.ros_map import read_ros_map
+from mrtask.live.state_file import read_state
+from mrtask.maps.ros_map import scan_floor
 from pipeline.app.map_task import scenario_files
 from pipeline.app.tool import load_options, overrides
 from pipeline.live.options import TeamOptions
 
 VERBATIM = ("task", "name", "token")
+SAVE_AGAIN_S = 5.0
+WAKE_EVERY_S = 0.5
 
 
 def run(arguments: Sequence[str]) -> None:
     """Run the tool."""
     options = read_options(arguments)
-    session = LiveSession(_live(options), options.state, options.log)
+    unsaved = options.unsaved == "go_on"
+    session = LiveSession(_live(options), options.state, options.log, go_on_unsaved=unsaved)
     asyncio.run(_serve(options, session))
 
 
@@ -43,12 +47,17 @@ def read_options(arguments: Sequence[str]) -> TeamOptions:
 
 
 def _live(options: TeamOptions) -> LiveTeam:
-    home = read_ros_map(options.map, options.containers)
+    scan = scan_floor(options.map, options.containers)
+    print("\n".join(scan.told), file=sys.stderr)
+    home = scan.home
     task = task_in(home, options.task, options.objects or None, robots=len(options.team))
     home = with_places(home, task.places)
+    home_map = options.map_of(home)
+    if out_of_reach := home_map.out_of_reach(home):
+        print(f"warning: {out_of_reach}", file=sys.stderr)
     setup = LiveSetup(
         home=home,
-        home_map=options.map_of(home),
+        home_map=home_map,
         text=options.task,
         task=task,
         likelihood=prior(home, task, options.model()),
@@ -56,9 +65,10 @@ def _live(options: TeamOptions) -> LiveTeam:
         planner=options.decide_by,
         planner_options=options.planner_options,
         seed=options.seed,
+        lost_after_s=options.lost_after_s,
     )
-    if options.state is not None and options.state.is_file():
-        live = restore(setup, options.state.read_text(encoding="utf-8"))
+    if options.state is not None and options.state.exists():
+        live = read_state(setup, options.state)
         print(f"goes on from {options.state}", file=sys.stderr)
         return live
     return LiveTeam(setup, options.team)
@@ -72,10 +82,27 @@ class SessionHub:
         self.listeners: dict[object, asyncio.Queue[str | None]] = {}
         self._one_at_a_time = asyncio.Lock()
 
-    async def receive(self, sender: object, text: str | bytes) -> None:
+    async def receive(self, sender: object, text: str | bytes, client: str = "") -> None:
         async with self._one_at_a_time:
-            answers, news = await asyncio.to_thread(self.session.receive, text)
+            answers, news = await asyncio.to_thread(self.session.receive, text, client)
         self._tell(sender, answers)
+        self._tell_all(news)
+
+    async def wake(self, every_s: float) -> None:
+        """Let the team look at the time now and then, for ever, where nobody says anything."""
+        while True:
+            await asyncio.sleep(every_s)
+            async with self._one_at_a_time:
+                self._tell_all(await asyncio.to_thread(self.session.wake))
+
+    async def save_again(self, every_s: float) -> None:
+        """Try now and then, for ever, to write a state that could not be written."""
+        while True:
+            await asyncio.sleep(every_s)
+            async with self._one_at_a_time:
+                self._tell_all(await asyncio.to_thread(self.session.save_again))
+
+    def _tell_all(self, news: Sequence[str]) -> None:
         for listener in list(self.listeners):
             self._tell(listener, news)
 
@@ -95,6 +122,8 @@ class SessionHub:
 
 async def _serve(options: TeamOptions, session: LiveSession) -> None:
     hub, done = SessionHub(session), asyncio.Event()
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(encoding="utf-8")  # JSON's, whatever the terminal's is
     loop = asyncio.get_running_loop()
     for name in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(name, done.set)
@@ -107,9 +136,15 @@ async def _serve(options: TeamOptions, session: LiveSession) -> None:
 
             port = await stack.enter_async_context(serve(hub, *options.address, options.token))
             print(f"listening on port {port}", file=sys.stderr, flush=True)
-        pipes = asyncio.create_task(_pipes(hub, done, ends=options.websocket is None))
+        tasks = [
+            asyncio.create_task(_pipes(hub, done, ends=options.websocket is None)),
+            asyncio.create_task(hub.save_again(SAVE_AGAIN_S)),
+        ]
+        if options.own_clock:
+            tasks.append(asyncio.create_task(hub.wake(WAKE_EVERY_S)))
         await done.wait()
-        pipes.cancel()
+        for task in tasks:
+            task.cancel()
 
 
 async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
@@ -128,7 +163,8 @@ async def _pipes(hub: SessionHub, done: asyncio.Event, ends: bool) -> None:
     try:
         while (text := await queue.get()) is not None:
             print(text, flush=True)
-    except BrokenPipeError:
+    except OSError as error:
+        print(f"standard output cannot be written ({error})", file=sys.stderr)
         done.set()
     if ends:
         done.set()

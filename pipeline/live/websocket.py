@@ -25,8 +25,8 @@ class Hub(Protocol):
 
     listeners: dict[object, asyncio.Queue[str | None]]
 
-    async def receive(self, sender: object, text: str | bytes) -> None:
-        """Handle a message from a listener."""
+    async def receive(self, sender: object, text: str | bytes, client: str = "") -> None:
+        """Handle a message from a listener that gave this name, or none."""
         ...
 
 
@@ -35,7 +35,7 @@ async def serve(hub: Hub, host: str, port: int, token: str | None) -> AsyncItera
     """Listen while the block runs; yields the port, which the system chooses for 0."""
 
     async def talk(connection: ServerConnection) -> None:
-        if not await _welcome(connection, token):
+        if (hello := await _hello(connection, token)) is None:
             await connection.close(REFUSED, "the first message is hello, with the token where one is needed")
             return
         queue: asyncio.Queue[str | None] = asyncio.Queue(MAX_WAITING)
@@ -44,7 +44,7 @@ async def serve(hub: Hub, host: str, port: int, token: str | None) -> AsyncItera
         try:
             await hub.receive(connection, Hello(type="hello").model_dump_json())
             async for text in connection:
-                await hub.receive(connection, text)
+                await hub.receive(connection, text, hello.client or "")
         except ConnectionClosed:
             pass  # hello gives it all orders again
         finally:
@@ -56,13 +56,16 @@ async def serve(hub: Hub, host: str, port: int, token: str | None) -> AsyncItera
         yield next(iter(server.sockets)).getsockname()[1]
 
 
-async def _welcome(connection: ServerConnection, token: str | None) -> bool:
+async def _hello(connection: ServerConnection, token: str | None) -> Hello | None:
+    """Return the first message, if it is a hello with the token."""
     try:
         message = parse(await asyncio.wait_for(connection.recv(), HELLO_WITHIN_S))
     except (Unreadable, TimeoutError, ConnectionClosed):
-        return False
-    shown = message.token if isinstance(message, Hello) else None
-    return isinstance(message, Hello) and (token is None or hmac.compare_digest((shown or "").encode(), token.encode()))
+        return None
+    if not isinstance(message, Hello):
+        return None
+    shown = (message.token or "").encode()
+    return message if token is None or hmac.compare_digest(shown, token.encode()) else None
 
 
 async def _send(connection: ServerConnection, queue: "asyncio.Queue[str | None]") -> None:

@@ -12,7 +12,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -203,6 +203,8 @@ def _say_answers(what: tuple[str, str]) -> None:
 def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
     """Hold the folder for this process; the lock ends with the process, however that ends.
 
+    A folder that was made for the lock and got nothing else is removed at the end.
+
     For a URL, a file in ``cache_dir`` locks it on this machine, and an object in the store, which counts while it is
     renewed, on others: if two machines start a run in the same second, both may get in.
 
@@ -210,12 +212,28 @@ def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
         UserError: another run holds it, or the folder cannot be written.
     """
     if folder.is_local:
-        with _locked_file(Path(folder.location) / LOCK, folder):
-            yield
+        path = Path(folder.location) / LOCK
+        new = [parent for parent in path.parents if not parent.exists()]
+        with _locked_file(path, folder):
+            try:
+                yield
+            finally:
+                _remove_unused(path, new)
     else:
         path = cache_dir / "locks" / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
         with _locked_file(path, folder), _leased(folder):
             yield
+
+
+def _remove_unused(lock: Path, new: Sequence[Path]) -> None:
+    """Remove the lock's folder and the ``new`` ones above it, deepest first, as far as they hold nothing else."""
+    if lock.parent not in new or [path.name for path in lock.parent.iterdir()] != [lock.name]:
+        return
+    lock.unlink()
+    for parent in new:
+        if any(parent.iterdir()):
+            return
+        parent.rmdir()
 
 
 @contextmanager
@@ -236,6 +254,9 @@ def _locked_file(path: Path, folder: Folder) -> Iterator[None]:
                 f"output_dir={folder.location} is in use by another run ({handle.read().strip() or 'unknown'}); "
                 "wait for it, stop it, or give another output_dir"
             ) from error
+        if not path.exists() or not os.path.samestat(path.stat(), os.fstat(handle.fileno())):
+            # A run that left nothing has just removed it.
+            raise UserError(f"output_dir={folder.location} was in use by another run until now; run the command again")
         handle.seek(0)
         handle.truncate()
         handle.write(f"{this_process()}\n")

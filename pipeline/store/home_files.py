@@ -13,7 +13,7 @@ from pydantic import Field
 
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import HouseError, read_houses
-from mrtask.maps.ros_map import read_map_worlds
+from mrtask.maps.ros_map import ScannedFloor, map_worlds, scan_floor
 from pipeline.base import console
 from pipeline.base.config import UserError
 from pipeline.base.values import Section
@@ -82,6 +82,10 @@ class MapFiles(_Files):
         """Return the distinct worlds of all maps; raises `MapError`."""
         return _furnish(self)
 
+    def scans(self) -> tuple[ScannedFloor, ...]:
+        """Return the maps as they were read, with what their owners should know; raises `MapError`."""
+        return _scans(self.model_copy(update={"contents": None}))
+
     def faults(self) -> tuple[str, ...]:
         """Return nothing: a faulty map is an error."""
         return ()
@@ -115,12 +119,13 @@ def _read_houses(source: HouseFiles) -> tuple[tuple[Home, ...], tuple[str, ...]]
 
 @lru_cache(maxsize=4)
 def _read_maps(source: MapFiles) -> tuple[Home, ...]:
-    worlds = [
-        world
-        for map_path, containers_path in zip(source.maps, source.containers, strict=True)
-        for world in read_map_worlds(map_path, containers_path, source.worlds, source.seed)
-    ]
+    worlds = [world for scan in source.scans() for world in map_worlds(scan, source.worlds, source.seed)]
     return tuple({home.id: home for home in worlds}.values())
+
+
+@lru_cache(maxsize=4)
+def _scans(source: MapFiles) -> tuple[ScannedFloor, ...]:
+    return tuple(scan_floor(*paths) for paths in zip(source.maps, source.containers, strict=True))
 
 
 def check_files(key: str, paths: Iterable[Path | None]) -> None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 from mrtask.errors import without_secrets
 from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
+from mrtask.names import counted
 from pipeline.base.config import UserError, content_hash
 from pipeline.base.sections import Map
 from pipeline.base.values import Section
@@ -159,7 +160,7 @@ class Asked(Section):
         """``100 trials a cell, small and large, 1 and 2 robots, by greedy and pouct``."""
         sizes, teams, planners = (_listed(map(str, of)) for of in (self.size_classes, self.robots, self.planners))
         plural = "" if self.robots == (1,) else "s"
-        return f"{self.trials_per_cell} trials a cell, {sizes}, {teams} robot{plural}, by {planners}"
+        return f"{counted(self.trials_per_cell, 'trial')} a cell, {sizes}, {teams} robot{plural}, by {planners}"
 
 
 class RunIdentity(Record):
@@ -297,12 +298,20 @@ class EvaluationManifest(Record):
     model: TrainedModelRecord | None
     """None for a model that was trained elsewhere."""
     model_name: str
+    champion_version: str | None = None
+    """The version that was champion meanwhile; None where there was none, and in manifests of earlier versions."""
+    rivals: tuple[TrainedModelRecord, ...] = ()
+    """The versions that the same command trained, and that did not plan."""
     homes: EvaluatedHomes
     true_likelihoods: Literal["drawn", "counted"] | None = None
     """Whether the true likelihoods are those by which the homes' contents were drawn, or the counts of these homes.
 
     None in manifests of earlier versions."""
     reach: Reach
+    reliability: tuple[JsonObject, ...] = ()
+    """How often objects were where the model said: the bins of `mrtask.analysis.studies.calibration`.
+
+    Empty in manifests of earlier versions."""
     machine: Machine
     packages: Mapping[str, str] = {}
     """The versions of what computed the rows; empty for runs from before they were recorded."""
@@ -317,14 +326,16 @@ class EvaluationManifest(Record):
 
     def facts(self, stages: "StageTimes | None" = None) -> dict[str, Any]:
         """Return what the report shows, as plain data by the names that `mrtask.analysis.report.run_facts` knows."""
-        nested = {"version", "model", "model_name", "homes", "reach"}
+        nested = {"version", "model", "model_name", "champion_version", "rivals", "homes", "reach"}
         homes = self.homes.model_dump(mode="json") | {
             "training": self.model.training_homes if self.model else None,
             "containers": self.reach.containers,
             "reachable_share": self.reach.share,
         }
         facts = self.model_dump(mode="json", exclude=nested) | {
-            "model": self.model.facts() if self.model else {"name": self.model_name, "version": self.model_version},
+            "model": (self.model.facts() if self.model else {"name": self.model_name, "version": self.model_version})
+            | {"champion_version": self.champion_version},
+            "rivals": [rival.facts() for rival in self.rivals],
             "homes": homes,
         }
         return facts | ({"stages": dict(stages.seconds)} if stages else {})

@@ -50,9 +50,10 @@ class EpisodeWriter:
     """The one writer of a dataset.
 
     Opening it drops rows of a status in ``rerun``, so that they run again: only those of ``asked`` where that is given.
-    A store's rows are written by a thread, so that planning goes on while the store is slow or silent. Rows that it
-    does not take within `pipeline.store.folder.PATIENCE_S` go to the local folder ``unsent``; the next writer with the
-    same ``unsent`` sends them.
+    ``begin`` is called once, right before the first rows are written. A store's rows are written by a thread, so that
+    planning goes on while the store is slow or silent. Rows that it does not take within
+    `pipeline.store.folder.PATIENCE_S` go to the local folder ``unsent``; the next writer with the same ``unsent`` sends
+    them.
     """
 
     def __init__(
@@ -60,9 +61,10 @@ class EpisodeWriter:
         folder: Folder,
         rerun: Collection[str] = (),
         asked: Collection[Key] | None = None,
+        begin: Callable[[], None] | None = None,
         unsent: Path | None = None,
     ) -> None:
-        self._folder = folder
+        self._folder, self._begin = folder, begin
         self._pending: list[EpisodeRow] = []
         self._flushed_s = time.monotonic()
         self._unsent = Folder(str(unsent)) if unsent is not None and not folder.is_local else None
@@ -197,7 +199,7 @@ class EpisodeWriter:
         keys = zip(table["trial_id"].to_pylist(), table["planner"].to_pylist(), strict=True)
         missing = table.filter(pa.array([key not in finished for key in keys]))
         if missing.num_rows:
-            self._small.append(_write(self._folder, "part", missing.sort_by(SORTED_BY)))
+            self._write_table(missing.sort_by(SORTED_BY))
         console.line(f"{counted(missing.num_rows, 'row')} sent that the store had not taken, from {unsent}")
         for name in names:
             unsent.remove(name)
@@ -207,7 +209,13 @@ class EpisodeWriter:
         self._merge_if_many()
 
     def _write_part(self, rows: Sequence[EpisodeRow]) -> None:
-        self._small.append(_write(self._folder, "part", _table(rows)))
+        self._write_table(_table(rows))
+
+    def _write_table(self, table: pa.Table) -> None:
+        if self._begin is not None:
+            self._begin()
+            self._begin = None
+        self._small.append(_write(self._folder, "part", table))
 
     def _merge_if_many(self) -> None:
         if len(self._small) >= MERGE_PARTS:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.results.roles import BASELINES
-from mrtask.analysis.results.statistics import Estimate, compare, paired_costs
+from mrtask.analysis.results.statistics import Estimate, compare, homes_of, paired_costs
 from mrtask.planning.planners import planners_in_order
 
 Row = Mapping[str, Any]
@@ -49,7 +49,8 @@ def _improvements(episodes: pd.DataFrame) -> Iterator[str]:
             teams = [(f"robots: {robots}", of_team) for robots, of_team in episodes.groupby("robots")]
             for label, of_team in [*teams, ("all", episodes)]:
                 costs = paired_costs(of_team)
-                found = compare(costs[name].to_numpy(dtype=float), costs[baseline].to_numpy(dtype=float))
+                pair = (costs[name].to_numpy(dtype=float), costs[baseline].to_numpy(dtype=float))
+                found = compare(*pair, homes_of(of_team)[costs.index].to_numpy())
                 counted = f"{found.wins} faster, {found.ties} equal, {found.losses} slower"
                 yield f"    {label:<12}{_percent(found.improvement):>26}   {counted}"
 

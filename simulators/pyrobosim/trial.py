@@ -127,7 +127,7 @@ def run_trial(
         *(f"task={trial.formula}", f"team={{{team}}}", f"decide_by={planner}", f"seed={trial.seed}"),
         *(f"speed_m_per_s={spec.speed_m_per_s!r}", f"robot_radius_m={body.planned_radius_m!r}"),
         *(f"search_time_s={spec.search_time_s!r}", f"interact_time_s={spec.interact_time_s!r}"),
-        *(f"resolution_m={RESOLUTION_M!r}", *options),
+        *(f"resolution_m={RESOLUTION_M!r}", "own_clock=false", "lost_after_s=null", *options),
     ]
     client = ServedClient(arguments, clock=lambda: fleet.time_s)
     try:
@@ -179,6 +179,8 @@ class Bridge:
             if self.fleet.time_s > MAX_TIME_S:
                 error = f"not done after {MAX_TIME_S:g} s"
                 break
+            if (wake_s := self.client.task["wake_s"]) is not None and wake_s <= self.fleet.time_s:
+                self._tell("clock")
             moved = self.fleet.step()
             for name, member in self.fleet.members.items():
                 self.paths[name].append(member.place)

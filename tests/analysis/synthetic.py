@@ -38,7 +38,7 @@ def make_episodes(
                     records.append(
                         {
                             "trial_id": f"{size_class}-{team}-{number:03d}",
-                            "home_id": f"home{number}",
+                            "home_id": f"home-{size_class}-{team}-{number}",
                             "size_class": size_class,
                             "robots": team,
                             "template": "and2",
@@ -77,6 +77,15 @@ def rows(size_class: str, robots: int, costs: dict[str, Sequence[float | None]])
     )
 
 
+def in_homes(episodes: pd.DataFrame, times: int) -> pd.DataFrame:
+    """Each trial ``times`` times, every time in the same home: no more is known than from one time."""
+    homes = episodes["home_id"] if "home_id" in episodes.columns else "home of " + episodes["trial_id"]
+    copies = [
+        episodes.assign(trial_id=episodes["trial_id"] + f"{number:03d}", home_id=homes) for number in range(times)
+    ]
+    return pd.concat(copies, ignore_index=True)
+
+
 def fail(frame: pd.DataFrame, chosen: pd.Series, status: str = "failed", error: str = "why") -> pd.DataFrame:
     """A copy of the frame in which the chosen episodes end with another status."""
     frame = frame.copy()
@@ -85,15 +94,25 @@ def fail(frame: pd.DataFrame, chosen: pd.Series, status: str = "failed", error: 
     return frame
 
 
-def naive_bca(cost: Sequence[float], baseline: Sequence[float], resamples: int, seed: int) -> tuple[float, float]:
-    """The BCa interval of ``100 (1 - mean / mean)`` in exact fractions, from the trials that the library draws."""
+def naive_bca(
+    cost: Sequence[float],
+    baseline: Sequence[float],
+    resamples: int,
+    seed: int,
+    groups: Sequence[Sequence[int]] | None = None,
+) -> tuple[float, float]:
+    """The BCa interval of ``100 (1 - mean / mean)`` in exact fractions, from what the library draws.
+
+    It draws groups of trials, by default single ones.
+    """
+    groups = groups or [[trial] for trial in range(len(cost))]
     costs, baselines = list(map(Fraction, cost)), list(map(Fraction, baseline))
 
     def improvement(chosen: Iterable[int]) -> Fraction:
-        chosen = list(chosen)
+        chosen = [trial for group in chosen for trial in groups[group]]
         return 100 * (1 - sum(costs[i] for i in chosen) / sum(baselines[i] for i in chosen))
 
-    n, normal = len(cost), NormalDist()
+    n, normal = len(groups), NormalDist()
     drawn = np.random.default_rng(seed).integers(n, size=(resamples, n)).tolist()
     values = [improvement(chosen) for chosen in drawn]
     whole = improvement(range(n))

@@ -3,8 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrtask.execution.trials import TrialOptions, home_order, known_containers, sample_trial
+from mrtask.execution.experiment import run_experiment
+from mrtask.execution.trials import TrialOptions, home_order, known_containers, objects_in, sample_trial
+from mrtask.likelihood.function import FunctionModel
 from mrtask.maps.home_map import build_map
+from mrtask.tasks.formula import FormulaError
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +60,36 @@ def test_homes_without_enough_objects_are_refused_with_the_remedy(two_room_home,
     or_seq = TrialOptions(("or_seq",))
     with pytest.raises(ValueError, match=r"no small home has enough distinct .* give other evaluation homes"):
         sample_trial("small", 1, 0, [two_room_home], lambda home: two_room_map, seed=0, options=or_seq)
+
+
+def test_a_formulas_trials_are_in_homes_that_can_serve_it(generated_homes, maps):
+    order = home_order(generated_homes, "small", 1, seed=0)
+    first, *others = (objects_in([home]) for home in order)
+    rare = sorted(first - set.union(*others))[0]
+    common = sorted(first & set.intersection(*others))[0]
+
+    def trial(formula, number):
+        options = TrialOptions(formula=formula, formula_objects=(rare, common))
+        return sample_trial("small", 1, number, order, lambda home: maps[home.id], seed=0, options=options)
+
+    assert {trial(f"F {rare} & F {common}", number).home_id for number in range(3)} == {order[0].id}
+    anywhere = [trial(f"F {common} & (F {rare} | F {common})", number) for number in range(3)]
+    assert [one.home_id for one in anywhere] == [home.id for home in order]
+    # A trial in a home that can serve does not depend on whether others are passed over.
+    assert replace(trial(f"F {rare} & F {common}", 0), formula="") == replace(anywhere[0], formula="")
+    with pytest.raises(ValueError, match=r"no small home has enough .* for F Unicorn; give other"):
+        options = TrialOptions(formula="F Unicorn", formula_objects=("Unicorn",))
+        sample_trial("small", 1, 0, order, lambda home: maps[home.id], seed=0, options=options)
+
+
+@pytest.mark.parametrize(
+    ("formula", "said"),
+    [("F Pillo", "unknown object 'Pillo', did you mean 'Pillow'"), ("F (Egg & Pillow)", "no order"), ("true", "done")],
+)
+def test_an_experiment_refuses_a_formula_that_is_no_task_here(two_room_home, formula, said):
+    model = FunctionModel(lambda names: np.full(len(names), 0.1))
+    with pytest.raises(FormulaError, match=said):
+        run_experiment([two_room_home], ["greedy"], model, options=TrialOptions(formula=formula))
 
 
 def test_part_of_the_containers_is_known_but_never_one_with_the_tasks_objects(generated_homes, maps):

@@ -95,6 +95,7 @@ def _drop(path):
     return change
 
 
+TURN = {"rotation": {"y": 0}}
 BAD_HOUSES = [
     (_drop(["rooms"]), "rooms: field required"),
     (_set(["rooms"], []), "rooms: list should have at least 1 item"),
@@ -102,7 +103,7 @@ BAD_HOUSES = [
     (_set(["rooms", 0, "floorPolygon", 2, "x"], float("nan")), r"rooms\[0\]\.floorPolygon\[2\]\.x: input should be"),
     (
         _set(["rooms", 0, "floorPolygon", 2, "x"], "4"),
-        r"rooms\[0\]\.floorPolygon\[2\]\.x: input should be a valid number",
+        r"rooms\[0\]\.floorPolygon\[2\]\.x: should be a number, not the text '4'",
     ),
     (_set(["rooms", 0, "floorPolygon", 2, "x"], 1e12), r"rooms\[0\]\.floorPolygon\[2\]\.x: input should be less than"),
     (_set(["rooms", 0, "floorPolygon", 2], {"x": 4, "z": -4}), r"rooms\[0\]\.floorPolygon: the polygon intersects"),
@@ -132,6 +133,16 @@ BAD_HOUSES = [
     ),
     (_set(["objects", 0, "children", 1, "assetId"], "?"), r"objects\[0\]\.children\[1\]: 'small\|2\|1' names no type"),
     (_set(["objects", 0, "children"], {"a": 1}), r"objects\[0\]\.children: input should be a valid list"),
+    (_set(["rooms", 1], 3), r"rooms\[1\]: should hold keys and values$"),
+    (_set(["objects", 1, "rotation"], 90), r"objects\[1\]\.rotation: should hold keys and values$"),
+    (
+        _set(["objects", 0], {"id": "sofa-0 (living room)", "assetId": "0a3d", "position": {"x": 1, "z": 1}} | TURN),
+        r"objects\[0\]: 'sofa-0 \(living room\)' is no id of ProcTHOR's houses .* such as Holodeck's, cannot be read",
+    ),
+    (
+        _set(["objects", 0, "children"], [{"id": 'A "cup"|2|1'}]),
+        r"objects\[0\]\.children\[0\]\.id: the name 'A \"cup\"' holds '\"'",
+    ),
     (_set(["objects", 0, "id"], "9|0"), None),
 ]
 
@@ -142,7 +153,7 @@ def test_bad_houses_are_refused_with_file_number_and_field(two_room_house, two_r
     if message is None:  # an unknown room in an id is no fault while the object stands in a room
         assert read(two_room_house, two_room_assets).containers[0].room_id == "room|2"
         return
-    with pytest.raises(HouseError, match=r"^file\.jsonl\.gz, home 7: " + message):
+    with pytest.raises(HouseError, match=r"^file\.jsonl\.gz, line 8: " + message):
         read(two_room_house, two_room_assets)
 
 
@@ -183,11 +194,11 @@ def test_damaged_files(tmp_path, two_room_house):
     cut.write_bytes(gzip.compress("".join(line.replace("Fridge", f"Fridge{n}") for n in range(200)).encode())[:-50])
     skipped = []
     with pytest.raises(
-        HouseError, match=r"cut\.jsonl\.gz, home \d+: the file is damaged or cut off after \d+ whole homes"
+        HouseError, match=r"cut\.jsonl\.gz, line \d+: the file is damaged or cut off after \d+ whole home"
     ):
         list(read_houses([cut], None, skipped.append))
     for name, content, problem in [
-        ("not.jsonl", "{'a': 1}\n", "not.jsonl, home 0: is not JSON"),
+        ("not.jsonl", "{'a': 1}\n", "not.jsonl, line 1: is not JSON"),
         ("empty.jsonl", "\n", "the file holds no house"),
         ("binary.jsonl", b"\xff\xfe\x00", "damaged"),
         ("plain.jsonl.gz", line, "damaged"),

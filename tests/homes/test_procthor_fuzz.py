@@ -88,7 +88,7 @@ def test_damaged_houses(house):
     try:
         home = parse_house(house, None, "homes.jsonl.gz", 12)
     except HouseError as error:
-        assert re.match(r"homes\.jsonl\.gz, home 12: \S", str(error))
+        assert re.match(r"homes\.jsonl\.gz, line 13: \S", str(error))
         assert error.problem
         return
     check_usable(home)

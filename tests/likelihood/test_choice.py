@@ -5,7 +5,8 @@ from scipy.special import logit
 
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.homes.contents import draw_objects, object_probs
-from mrtask.likelihood.choice import LikelihoodChoice, chosen_likelihood
+from mrtask.likelihood.choice import chosen_likelihood
+from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.likelihood.rows import TRIPLE, distinct_triples, label_rows, vocabulary
 from mrtask.likelihood.truth import catalogue_truth, counted_truth
 

@@ -1,20 +1,27 @@
 """Random event streams against a live team, with what must hold whatever comes in.
 
-By hand: ``python -m tests.live.fuzz 10000``, which takes ten minutes of CPU time.
+By hand: ``python -m tests.live.fuzz 10000``, which takes an hour of CPU time; a second number is the first seed.
 """
 
 import json
 import random
+from itertools import permutations
 
 import numpy as np
 
 from mrtask.execution.perception import Perception, Rates
 from mrtask.live.session import LiveSession
+from tests.live.useful import Useful
 
 KINDS = (
     "pose", "arrived", "navigation_failed", "search_ended", "object_seen", "interaction_ended", "robot_lost",
-    "robot_joined", "route_blocked", "route_cleared",
+    "robot_joined", "route_blocked", "route_cleared", "heartbeat", "clock", "try_again",
 )  # fmt: skip
+
+
+PLANNERS = ("greedy", "learned_myopic", "nonlearned_myopic", "pouct", "pouct_paper")
+OPTIONS = {"pouct": {"samples": 25}, "pouct_paper": {"samples": 25}}
+FORMULAS = ("F Egg & F Pillow", "(!Pillow U Egg) & F Pillow", "F (Egg & X F Pillow)", "F Egg | F Pillow")
 
 
 class Stream:
@@ -25,7 +32,7 @@ class Stream:
         self.session = LiveSession(live)
         self.certain = live.setup.spec.perception.sees_all
         """Whether what was seen last is believed."""
-        self.found = {}  # (container, object) -> (time, present), the latest sight that was accepted
+        self.useful = Useful(live)
         self.time_s, self.count, self.sent = 0.0, 0, []
         self.rejected = 0
 
@@ -33,6 +40,7 @@ class Stream:
         self.check_orders([json.loads(line) for line in self.session.begin()])
         for _ in range(length):
             self.step()
+        self.check_wakes()
         return self
 
     def step(self):
@@ -41,23 +49,31 @@ class Stream:
         if self.sent and rng.random() < 0.1:
             line = rng.choice(self.sent)
         self.sent = [*self.sent[-20:], line]
+        self.send(line)
+        if rng.random() < 0.5:
+            self.check_wakes()
+
+    def send(self, line):
         answers, news = self.session.receive(line)
         answers, news = [json.loads(one) for one in answers], [json.loads(one) for one in news]
-        if not line.startswith('{"type": "hello"'):
+        if not line.startswith('{"type": "hello"') and '"events": []' not in line:
             assert answers and all(one["type"] == "answer" for one in answers), "an event without an answer"
         for answer in answers:
             if answer["type"] == "answer" and answer["status"] != "accepted":
                 assert answer["reason"], "a refusal without a reason"
                 self.rejected += answer["status"] == "rejected"
-        self.note_finds(line, answers)
+        more = self.note(line, answers)
         self.check_orders(news)
         self.check_ordered_again(line, answers, news)
         self.check_state()
+        for task in news:
+            if task["type"] == "task":
+                self.check_task(task, more)
 
     def event(self):
         rng, live = self.rng, self.live
         self.count += 1
-        self.time_s += rng.choice([0.0, 0.5, 2.0])
+        self.time_s += rng.choice([0.0, 0.5, 2.0, rng.choice([0.5, 2.0, 10.0, 70.0])])
         kind = rng.choice(KINDS)
         late_s = rng.choice([0.0, 0.0, 0.0, 1.0, 5.0])
         event = {"type": kind, "id": f"i{self.count}", "time_s": max(self.time_s - late_s, 0.0)}
@@ -68,7 +84,7 @@ class Stream:
             place = robot.assignment.container if robot.moving else robot.place
             container = live.team.containers[place] if place >= 0 else container
         objects = [*live.setup.task.propositions, "Spoon"]
-        place = {"x_m": rng.uniform(-1, 9), "y_m": rng.uniform(-1, 5)}
+        place = self.place()
         event |= {
             "pose": {"robot": live.names[index], **place},
             "arrived": {"robot": live.names[index], "container": container},
@@ -94,14 +110,34 @@ class Stream:
             },
             "robot_lost": {"robot": live.names[index]},
             "robot_joined": {"robot": rng.choice([*live.names, "new"]), **place},
-            "route_blocked": rng.choice([{"door": rng.choice(self.doors or ["none"])}, {**place, "radius_m": 0.4}]),
-            "route_cleared": rng.choice([{"door": rng.choice(self.doors or ["none"])}, place]),
+            "route_blocked": rng.choice(
+                [{"door": rng.choice(self.doors or ["none"])}, {**place, "radius_m": rng.uniform(0.1, 1.0)}]
+            ),
+            "route_cleared": rng.choice([{"door": rng.choice(self.doors or ["none"])}, self.blocked() or place]),
+            "heartbeat": {"robot": live.names[index]},
+            "clock": {},
+            "try_again": rng.choice([{}, {"robot": live.names[index]}, {"container": container}]),
         }[kind]
         if rng.random() < 0.1:  # contradictory or unknown
             event[rng.choice(list(event))] = rng.choice([None, "nobody", -1.0, 1e300, [], {}, True, "x" * 300])
         if rng.random() < 0.1:
             return {"type": "batch", "events": [event], "more": rng.random() < 0.5}
         return event
+
+    def place(self):
+        """Anywhere, or where something is going on: at a robot, at a container, in a barrier."""
+        rng, grid = self.rng, self.live.team.home_map
+        robot = rng.choice(self.live.team.robots)
+        cells = [robot.position_at(self.live.team.time_s).back, rng.choice(self.live.setup.home_map.access.tolist())]
+        spots = [grid.cell_center(tuple(cell)) for cell in cells if cell[0] >= 0]
+        spots += [barrier.start for barrier in self.live.barriers.values()]
+        x_m, y_m = rng.choice([(rng.uniform(-1, 9), rng.uniform(-1, 5)), *spots])
+        return {"x_m": x_m, "y_m": y_m}
+
+    def blocked(self):
+        """Some place that is blocked."""
+        places = [one.start for key, one in self.live.barriers.items() if key.startswith("place")]
+        return dict(zip(("x_m", "y_m"), self.rng.choice(places), strict=True)) if places else None
 
     def detection(self, name):
         if self.rng.random() < 0.5:
@@ -121,39 +157,24 @@ class Stream:
             ]
         )  # fmt: skip
 
-    def note_finds(self, line, answers):
-        if not answers or answers[-1].get("status") != "accepted":
-            return
+    def note(self, line, answers):
+        """Take in what was accepted; whether more is to come at this instant."""
+        if not any(answer.get("status") == "accepted" for answer in answers):
+            return False
         content = json.loads(line)
         events = content["events"] if content["type"] == "batch" else [content]
         for event, answer in zip(events, answers, strict=True):
-            if answer["status"] != "accepted":
-                continue
-            if event["type"] == "object_seen" and event["object"] in self.live.setup.task.propositions:
-                self.find(event, event["object"], event.get("present", True))
-            if event["type"] == "search_ended" and event.get("status", "FINISHED") == "FINISHED":
-                for name in self.live.setup.task.propositions:
-                    seen = [one if isinstance(one, str) else one["object"] for one in event.get("objects", ())]
-                    self.find(event, name, name in seen)
-            if event["type"] in ("interaction_ended", "navigation_failed", "search_ended"):
-                failed = event["type"] == "navigation_failed" or event.get("status") == "FAILED"
-                if failed:  # what fails too often is given up, but older sights stay older
-                    for name in self.live.setup.task.propositions:
-                        if (key := (event["container"], name)) in self.found:
-                            looked_s = event["time_s"] if event.get("gone") else -1.0
-                            self.found[key] = (max(self.found[key][0], looked_s), None)
-
-    def find(self, event, name, present):
-        key = event["container"], name
-        if event["time_s"] >= self.found.get(key, (-1.0, None))[0]:
-            self.found[key] = (event["time_s"], present)
+            if answer["status"] == "accepted":
+                self.useful.take(event)
+        return content.get("more", False)
 
     def check_state(self):
         live, team = self.live, self.live.team
         belief = team.belief
         assert ((belief.posterior >= 0) & (belief.posterior <= 1)).all()
-        sights = {key: present for key, (_, present) in self.found.items() if present is not None}
-        for (container, name), present in sights.items() if self.certain else ():
+        for (container, name), (_, present) in self.useful.found.items() if self.certain else ():
+            if name not in live.setup.task.propositions:
+                continue
             obj = live.setup.task.propositions.index(name)
             assert belief.presence_prob[live.containers[container], obj] == float(present), "a find was forgotten"
         told = np.where(belief.searched[:, None], belief.detected & (belief.posterior >= 0.5), belief.posterior)
@@ -163,7 +184,41 @@ class Stream:
             assert np.allclose(belief.presence_prob, told, atol=1e-3)
         assert team.state == team.automaton.run(letter.object for letter in team.letters)
         assert team.state != team.automaton.sink
+        acts = [robot.act.obj for robot in team.robots if robot.act.kind == "interact"]
+        assert not acts or any(self.all_count(order, team) for order in permutations(acts)), "two for one letter"
         assert len(live.names) == len(team.robots) == len(live.heard_s)
+
+    @staticmethod
+    def all_count(order, team):
+        state = team.state
+        for obj in order:
+            if not team.automaton.advancing[state, obj]:
+                return False
+            state = team.automaton.transitions[state, obj]
+        return True
+
+    def check_task(self, task, more):
+        """Nobody is stuck while something useful can be reached, or while more of this instant is to come."""
+        if task["status"] == "stuck":
+            assert not more, "stuck before all of this instant is known"
+            assert not (options := self.useful.options()), f"stuck, although {options[0]}"
+        elif task["status"] == "running" and not more and not self.acting():
+            assert task["reason"], "nobody acts, and nobody knows why"
+            assert task["wake_s"] > task["time_s"], "a team that nothing wakes"
+
+    def check_wakes(self):
+        """A team that waits to try something again does so when it said."""
+        live = self.live
+        self.send('{"type": "batch", "events": []}')
+        if live.team.accepted or self.acting() or not live.left_alone():
+            return
+        self.time_s = live.left_alone()[0][0]
+        self.send(json.dumps({"type": "clock", "id": f"w{self.time_s}", "time_s": self.time_s}))
+        assert self.acting() or not live.present, "it does not try again"
+
+    def acting(self):
+        """The robots that have something to do."""
+        return [robot for robot in self.live.team.robots if not (robot.free or robot.lost)]
 
     def check_ordered_again(self, line, answers, news):
         """Whoever ended what it was to do is told what to do next, even if that is the same."""
@@ -185,11 +240,11 @@ class Stream:
             assert not robot.lost, "an order for a robot that is lost"
             if order["action"] == "navigate":
                 container = live.containers[order["container"]]
-                reached = team.home_map.cell_center(tuple(team.home_map.access[container]))
+                reached = team.home_map.cell_center(tuple(live.setup.home_map.access[container]))
                 assert np.allclose(order["route"][-1], reached), "a route that ends elsewhere"
-                grid = team.home_map
-                cells = [cell for cell in robot.route.cells]
-                assert all(grid.free[cell] for cell in cells), "a route through what is blocked"
+                cells = robot.route.cells
+                blocked = [area for area in self.useful.barriers.values() if not any(area[cell] for cell in cells[:2])]
+                assert not any(area[cell] for area in blocked for cell in cells), "a route through what is blocked"
             if order["action"] == "interact":
                 obj = live.setup.task.propositions.index(order["object"])
                 assert team.belief.presence_prob[live.containers[order["container"]], obj] > 0, (
@@ -207,19 +262,23 @@ def main(count, first=0):
 
     home = parse_house(make_two_room_house(), ASSETS, "two-rooms", 0)
     home_map = build_map(home)
-    planners = ("greedy", "learned_myopic", "nonlearned_myopic")
-    events = rejected = 0
+    events = rejected = failed = 0
     for seed in range(first, first + count):
         perception = Perception(Rates(0.7, 0.1)) if seed % 4 == 3 else None
-        live = two_robots(home, home_map, planners[seed % 3], perception=perception)
-        stream = Stream(live, seed, [door.id for door in home.doors]).run(30)
+        formula = FORMULAS[seed // 5 % len(FORMULAS)]
+        live = two_robots(home, home_map, PLANNERS[seed % 5], formula, perception=perception, options=OPTIONS)
+        stream = Stream(live, seed, [door.id for door in home.doors])
+        try:
+            stream.run(30)
+        except AssertionError as error:
+            failed += 1
+            print(f"seed {seed}, {PLANNERS[seed % 5]}, {formula}, event {stream.count}: {error}", flush=True)
         events, rejected = events + stream.count, rejected + stream.rejected
-        if (seed + 1) % 500 == 0:
-            print(f"up to {seed + 1}", flush=True)
-    print(f"{count} streams, {events} events, {rejected} refusals", flush=True)
+    print(f"{count} streams from {first}, {events} events, {rejected} refusals, {failed} failed", flush=True)
+    return failed
 
 
 if __name__ == "__main__":
     import sys
 
-    main(*map(int, sys.argv[1:]))
+    sys.exit(main(*map(int, sys.argv[1:])) > 0)

@@ -82,3 +82,34 @@ class Rosbridge:
                     if topic in self.topics:
                         message = {"header": {}, "detections": [{"results": results}]}
                         connection.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
+
+
+class Answers:
+    """A server that answers with these messages, once, after an operation was asked for so many times."""
+
+    def __init__(self, answers, after="send_action_goal", times=1):
+        self.answers, self.after, self.times = answers, after, times
+        self.received = []
+        self.server = serve(self._talk, "127.0.0.1", 0)
+        self.port = self.server.socket.getsockname()[1]
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.server.shutdown()
+
+    def _talk(self, connection):
+        with suppress(ConnectionClosed):
+            for text in connection:
+                message = json.loads(text)
+                self.received.append(message)
+                if [one["op"] for one in self.received].count(self.after) == self.times and message["op"] == self.after:
+                    for answer in self.answers:
+                        connection.send(self._filled(answer, message["id"]))
+
+    def _filled(self, answer, name):
+        if not isinstance(answer, dict):
+            return answer if isinstance(answer, str) else json.dumps(answer)
+        return json.dumps({"id": name, "action": "/r1/go", **answer}).replace("{id}", name)

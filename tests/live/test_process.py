@@ -14,6 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
+from mrtask.live.saved import read_saved
 from pipeline.live.client import Client, PipeClient, SocketClient
 from pipeline.live.process import lines_of
 from tests.pipeline.harness import ROOT
@@ -165,7 +166,7 @@ def test_a_task_is_done_whatever_breaks(tmp_path: Path, socket: bool) -> None:
     word = lab.task["word"]
     assert is_good_prefix(FORMULA, tuple(letter["object"] for letter in word), ("laptop", "wallet", "remote", "egg"))
     assert all(letter["object"] in CONTENTS[letter["container"]] for letter in word)
-    check_legs(json.loads((tmp_path / "run/state.json").read_text()), lab.fleet.dead)
+    check_legs(read_saved((tmp_path / "run/state.json").read_text()).model_dump(mode="json"), lab.fleet.dead)
 
 
 def check_legs(state: dict[str, Any], dead: set[str]) -> None:

@@ -44,6 +44,21 @@ def test_too_much_or_too_deep_is_refused_on_an_open_connection(live):
     assert live.last_event == sent, "the others go on"
 
 
+def test_ids_belong_to_the_client_that_gave_its_name(live):
+    event = {"type": "pose", "id": "1", "time_s": 1.0, "robot": "r1", "x_m": 1.5, "y_m": 1.5}
+
+    def said(port, client):
+        with connect(f"ws://127.0.0.1:{port}") as connection:
+            connection.send(json.dumps({"type": "hello", "client": client}))
+            connection.send(json.dumps(event))
+            while (message := json.loads(connection.recv(timeout=ENDS_WITHIN_S)))["type"] != "answer":
+                pass
+            return message["status"]
+
+    with live_process(live) as port:
+        assert [said(port, name) for name in ("a", "b", "a")] == ["accepted", "accepted", "duplicate"]
+
+
 def test_who_does_not_read_is_let_go_and_the_sender_is_not(live):
     session = LiveSession(live)
     session.begin()

@@ -5,7 +5,7 @@ from PIL import Image
 from shapely.geometry import Polygon
 
 from mrtask.maps.home_map import build_map
-from mrtask.maps.ros_map import MapError, MapWarning, read_map_worlds, read_ros_map, scan_floor
+from mrtask.maps.ros_map import CellKind, MapError, MapWarning, read_map_worlds, read_ros_map, scan_floor
 
 MAP = """image: floor.pgm
 resolution: 0.05
@@ -150,6 +150,12 @@ def test_a_room_around_another_is_cut_so_that_they_do_not_overlap(tmp_path):
         (MAP + "date: 2026-13-45\n", r"line 7: date: '2026-13-45' cannot be read \(month must be"),
         (MAP + "made: !ros/map x\n", r"line 7: made: could not determine a constructor for the tag '!ros/map'"),
         (MAP + "note: a\x07b\n", r"line 7: is not YAML \(character 7: special characters"),
+        ("3", r"^map\.yaml, line 1: should hold keys and values"),
+        (
+            MAP.replace("negate: 0", "negate: 0.5"),
+            r"line 4: negate: input should be a valid boolean or a valid integer",
+        ),
+        (MAP.replace("negate: 0", "negate: x"), r"line 4: negate: input should be a valid boolean or a valid integer"),
         (MAP + "note: &a [*a]\n", r"map\.yaml: is nested too deeply, or refers to itself"),
         (MAP + "note: " + "[" * 3000 + "]" * 3000, r"map\.yaml: is nested too deeply, or refers to itself"),
     ],
@@ -179,12 +185,19 @@ def test_bad_maps(tmp_path, text, message):
         ),
         ("name: sofa", "name: fridge", r"line 4: containers\[1\]\.name: 'fridge' is used twice"),
         ("    type: Rack\n", "", r"line 5: containers\[2\]\.type: field required"),
-        ("    yaw_deg: 90", "    angle: 90", r"line 9: containers\[2\]\.angle: extra inputs are not permitted"),
+        ("    yaw_deg: 90", "    angle: 90", r"line 9: containers\[2\]\.angle: no such key"),
         (
             "kitchen: Kitchen",
             "kitten: Kitchen",
             r"line 1: rooms\.kitten: no container is in this room; the rooms are kitchen",
         ),
+        (CONTAINERS, "containers: [3]", r"line 1: containers\[0\]: should hold keys and values$"),
+        (
+            "objects: [Egg, Apple, Egg]",
+            "objects: ['a\"b']",
+            r"line 3: containers\[0\]\.objects\[0\]: the name 'a\"b' holds '\"'",
+        ),
+        ("name: sofa", "name: ' '", r"line 4: containers\[1\]\.name: a name cannot be empty"),
         ("size: [0.6, 0.6]", "size: [0.6, -1]", r"line 3: containers\[0\]\.size\[1\]: input should be greater than 0"),
     ],
 )
@@ -208,7 +221,7 @@ def test_keys_without_a_value_count_as_left_out(tmp_path, home):
 def test_numbers_as_cpp_programs_write_them(tmp_path, home):
     text = MAP.replace("-1.0, -2.0, 0.0", "-1e0, -2, 1e-17").replace("0.05", "5e-2")
     assert read_ros_map(*write(tmp_path, map_text=text)).id == home.id
-    with pytest.raises(MapError, match=r"line 2: resolution: input should be a valid number"):
+    with pytest.raises(MapError, match=r"line 2: resolution: should be a number, not the text '0.05'"):
         read_ros_map(*write(tmp_path, map_text=MAP.replace("0.05", "'0.05'")))
 
 
@@ -282,7 +295,11 @@ def test_floor_behind_a_shut_door_is_left_out_and_said(tmp_path):
     in_the_hall = CONTAINERS.replace("position: [-0.5, -1.5]", "position: [2.0, 1.5]")
     scan = scan_floor(*write(tmp_path, shut_door(), containers=in_the_hall))
     assert scan.area_m2 == pytest.approx(((shut_door() == WHITE)[:, 43:]).sum() * 0.05**2)
-    assert scan.summary == f"map.yaml: {scan.area_m2:.1f} m2 of floor, 2 rooms, 3 containers"
+    assert scan.summary == f"map.yaml: {scan.area_m2:.1f} m2 of floor (small), 2 rooms, 3 containers"
+    kinds = {kind: int((scan.cells == kind).sum()) for kind in CellKind}
+    assert kinds[CellKind.FLOOR] * 0.05**2 == pytest.approx(scan.area_m2) and kinds[CellKind.UNKNOWN_AS_FLOOR] == 0
+    assert f"{kinds[CellKind.LEFT_OUT] * 0.05**2:.1f} m2 of free floor in 1 region are left out" in scan.told[1]
+    assert scan.told == (scan.summary, f"warning: {scan.warnings[0]}")
     [warning] = scan.warnings
     assert "7.6 m2 of free floor in 1 region are left out: no way leads there on the scan" in warning
 

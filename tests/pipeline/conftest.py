@@ -8,7 +8,6 @@ from pathlib import Path
 
 import mlflow
 import pytest
-from hydra._internal.hydra import Hydra
 
 from mrtask.analysis.page import exhibits
 from pipeline.backends import runs
@@ -68,12 +67,6 @@ def _no_pictures() -> Iterator[None]:
 def _tests_draw_nothing() -> Iterator[None]:
     with _no_pictures():
         yield
-
-
-@pytest.fixture(autouse=True)
-def _mode_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hydra composes the whole configuration twice, first only to look for `hydra.mode`, which ours never sets."""
-    monkeypatch.setattr(Hydra, "get_mode", lambda self, config_name, overrides: None)
 
 
 @pytest.fixture(scope="session")

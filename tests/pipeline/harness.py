@@ -1,11 +1,12 @@
 """How tests run stages, and what they run them on."""
 
+import runpy
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.app import main as app
 from pipeline.app import sweep
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,9 +51,11 @@ Cli = Callable[..., Finished]
 def run_stage(stage: str, *overrides: str) -> int:
     """A stage in this process, as ``python -m pipeline.<stage>`` would run it; returns the exit code."""
     argv = sys.argv
-    sys.argv = [f"pipeline/{stage}.py", *overrides]
+    sys.argv = ["-m", *overrides]
     try:
-        app.main(f"pipeline.{stage}")
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*found in sys.modules")  # it is, in a process of tests
+            runpy.run_module(f"pipeline.{stage}", run_name="__main__", alter_sys=True)
     except SystemExit as stop:
         return int(stop.code or 0)
     finally:

@@ -56,10 +56,28 @@ def test_an_episode_that_raises_is_a_row_with_its_traceback(workspace: Workspace
     for _, sound in rows.drop(faulty.index).groupby("planner"):
         assert_same_costs(sound, episodes(workspace.output_dir))
     kept = cli("evaluate", *common, cwd=workspace.path)
-    assert "(unchanged, skipped)" in kept.out.splitlines()[-1]
+    assert "(unchanged, skipped)" in kept.out
+    for said in (kept.out, cli("report", "output_dir=outputs/faulty", cwd=workspace.path).out):
+        [last] = [line for line in said.splitlines() if "without a result" in line]
+        assert last.endswith("6 of 24 episodes without a result: 6 error (mostly: ValueError: this planner has a bug)")
     again = cli("evaluate", *common, "evaluation.rerun=[error]", cwd=workspace.path)
-    assert "18 episodes are there already" in again.out
+    assert "there already: 18 episodes" in again.out
     assert cli("report", "output_dir=outputs/faulty", cwd=workspace.path).code == 0
+
+
+def test_a_planner_that_never_succeeds_ends_the_run_with_an_error(workspace: Workspace, cli: Cli) -> None:
+    planners = f"evaluation.planners=[nonlearned_myopic,{OWN}.Faulty]"
+    common = [*workspace.overrides, planners, "evaluation.robots=[2]", "evaluation.max_failed_fraction=1"]
+    for stage in ("evaluate", "report", "reproduce", "evaluate"):
+        done = cli(stage, *common, "output_dir=outputs/never", cwd=workspace.path)
+        assert done.code == 2, "however often the command is given"
+        assert done.err.startswith(f"error: no episode was accepted of {OWN}.Faulty (of 6); the rows")
+        assert "Faulty 0/6" in " ".join(done.out.split()) and "6 error (mostly: ValueError: this planner" in done.out
+    assert (workspace.path / "outputs" / "never" / "report" / "index.html").is_file()
+    other = cli(
+        "evaluate", *workspace.overrides, "evaluation.robots=[2]", "output_dir=outputs/never", cwd=workspace.path
+    )
+    assert other.code == 0, "the planners that are asked for now are judged"
 
 
 def test_a_run_that_mostly_fails_is_stopped(workspace: Workspace, cli: Cli) -> None:
@@ -107,7 +125,7 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(
     before = pd.read_parquet(target / "episodes")
     assert len(before) == 5
     resumed = cli("evaluate", *common, cwd=workspace.path)
-    assert resumed.code == 0 and "5 episodes are there already" in resumed.out
+    assert resumed.code == 0 and "there already: 5 episodes" in resumed.out
     pd.testing.assert_frame_equal(episodes(target), episodes(workspace.output_dir))
     after = pd.read_parquet(target / "episodes").merge(before, on=["trial_id", "planner"], suffixes=("", "_before"))
     assert (after["planning_s"] == after["planning_s_before"]).all() and len(after) == 5

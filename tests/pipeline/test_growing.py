@@ -25,7 +25,7 @@ def test_a_grown_run_equals_one_that_was_asked_for_all_at_once(
     grown = cli("evaluate", *base, *MORE, f"output_dir={copied_output}", cwd=workspace.path)
     assert grown.code == 0, grown.err
     # With one robot, two trials by two planners were there; those with two are there too, and not asked for now.
-    assert "12 episodes are there already" in grown.out
+    assert "there already: 12 episodes" in grown.out
     assert "grows from 24 to 108 episodes: 4 trials a cell, small, medium and large, 1 and 3 robots" in grown.out
     fresh = cli("evaluate", *base, *MORE, f"output_dir={tmp_path / 'fresh'}", cwd=workspace.path)
     assert fresh.code == 0, fresh.err

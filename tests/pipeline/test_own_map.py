@@ -48,7 +48,7 @@ def test_one_command_from_map_to_report(workspace: Workspace, cli: Cli) -> None:
     lab = write_lab(workspace.path, CONTAINERS)
     done = cli("reproduce", *workspace.overrides, *lab, "homes.worlds=3", "output_dir=outputs/lab", cwd=workspace.path)
     assert done.code == 0, done.err
-    assert "lab.yaml (small, 27 m2, 6 containers)" in done.out
+    assert "lab.yaml: 26.6 m2 of floor (small), 2 rooms, 6 containers" in done.out and "warning" not in done.out
     assert "3 worlds to evaluate on" in done.out
     assert "no medium and no large map: trials on small only" in done.out
     assert done.out.count("(unchanged, skipped)") == 3, "the model is that of homes=generated"
@@ -79,14 +79,26 @@ def test_listed_objects_are_where_the_list_says(workspace: Workspace, cli: Cli) 
     }  # fmt: skip
 
 
-def test_the_map_is_drawn(workspace: Workspace, cli: Cli) -> None:
-    lab = write_lab(workspace.path, CONTAINERS)
+def test_the_map_is_drawn_as_it_was_read_and_what_is_doubtful_is_said(workspace: Workspace, cli: Cli) -> None:
+    folder = workspace.path / "doubtful"
+    folder.mkdir()
+    lab = [one.replace("=lab", "=doubtful/lab").replace("=c", "=doubtful/c") for one in write_lab(folder, CONTAINERS)]
+    cells = np.flipud(np.array(Image.open(folder / "lab.pgm"))).copy()
+    cells[60:79, 120:122], cells[60:62, 120:139] = 0, 0  # a closet in the corner is shut
+    cells[5:8, 5:8] = 205
+    Image.fromarray(np.flipud(cells)).save(folder / "lab.pgm")
+    (folder / "lab.yaml").write_text(MAP.replace("0.196", "0.25"))
     done = cli("homes", *workspace.overrides, *lab, "draw=true", "output_dir=outputs/plan", cwd=workspace.path)
     assert done.code == 0, done.err
     drawn = sorted(path.name for path in (workspace.path / "outputs/plan/homes").iterdir())
-    assert len(drawn) == 4
-    assert drawn[:2] == ["gallery.png", "gallery.svg"]
-    assert all(name.startswith("small-") for name in drawn[2:])
+    assert len(drawn) == 6
+    assert drawn[:4] == ["gallery.png", "gallery.svg", "scan-lab.png", "scan-lab.svg"]
+    assert all(name.startswith("small-") for name in drawn[4:])
+    for said in (
+        "warning: lab.yaml: 9 cells of grey 205",
+        "warning: lab.yaml: 0.7 m2 of free floor in 1 region are left",
+    ):
+        assert said in done.out
 
 
 @pytest.mark.parametrize(

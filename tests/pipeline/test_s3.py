@@ -81,7 +81,7 @@ def test_a_run_in_a_bucket_is_killed_and_goes_on(
     gate.open()
     resumed = cli("evaluate", *overrides, cwd=workspace.path)
     assert resumed.code == 0, resumed.err
-    assert f"{RUN}/episodes" in resumed.out and "episodes are there already" in resumed.out
+    assert f"{RUN}/episodes" in resumed.out and "there already: " in resumed.out
     assert cli("report", *workspace.overrides, f"output_dir={RUN}", cwd=workspace.path).code == 0
     assert b"Gated" in bucket.cat_file("results/run/report/index.html")
     found = rows_in(bucket, "results/run/episodes/*.parquet")

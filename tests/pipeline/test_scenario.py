@@ -84,6 +84,19 @@ def test_a_scenario_prints_metres_beside_the_published_ones(
     assert all(label in page for label in ("learned_myopic", "nonlearned_myopic", "pipeline.scenario"))
 
 
+def test_objects_and_places_may_have_names_that_formulas_quote() -> None:
+    folder = SCENARIOS / "apartment1"
+    home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")
+    first, *others = home.containers
+    renamed = replace(first, id="desk-1", objects=("c-clamp",))
+    home = replace(home, containers=(renamed, *others))
+    given = make_scenario("dash", home, build_map(home), None, "bring the c-clamp to desk 1", Team(1))
+    assert given.trial.formula == 'F ("c-clamp" & X F "desk-1")' and given.trial.objects == ("c-clamp", "desk-1")
+    assert given.likelihood[:, 1].tolist() == [1.0] + [0.0] * len(others)
+    result = run_episode(given.trial, given.home, given.home_map, given.likelihood, "greedy")
+    assert result.status == "accepted" and [one.object for one in result.trace.letters] == ["c-clamp", "desk-1"]
+
+
 def test_worlds_are_drawn_by_the_likelihoods_with_every_object_somewhere() -> None:
     folder = SCENARIOS / "apartment2"
     home = read_ros_map(folder / "map.yaml", folder / "containers.yaml")

@@ -15,9 +15,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from mrtask.execution.trials import objects_in
 from mrtask.homes.download import DownloadError
 from mrtask.homes.generator.house import generate_house
 from pipeline.backends import registry, runs
+from pipeline.backends.pool import Pool
+from pipeline.base.config import UserError
 from pipeline.inputs import floor_plans, homes
 from pipeline.store import artifacts
 from pipeline.store.episode_row import SCHEMA
@@ -99,6 +102,30 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
         100 * (1 - means["pouct"] / means["nonlearned_myopic"])
     )
     assert "pouct/small_1/cost_cells_low" not in metrics, "two trials are too few for an interval"
+    all_rows = pd.read_parquet(workspace.output_dir / "episodes")
+    overall = all_rows.groupby("planner")["cost_cells"].mean()
+    assert metrics["pouct/all/percent_better_than_nonlearned_myopic"] == pytest.approx(
+        100 * (1 - overall["pouct"] / overall["nonlearned_myopic"])
+    )
+    low, high = (metrics[f"pouct/all/percent_better_than_nonlearned_myopic_{end}"] for end in ("low", "high"))
+    assert low < metrics["pouct/all/percent_better_than_nonlearned_myopic"] < high
+    assert metrics["pouct/all/decision_s"] > 0
+    assert evaluated.info.run_name == "paper" and "" not in evaluated.data.tags.values()
+    assert evaluated.data.tags["mlflow.note.content"].startswith("Over ")
+    [homes] = evaluated.inputs.dataset_inputs
+    profile = json.loads(homes.dataset.profile)
+    assert homes.dataset.name == "evaluation-homes" and profile["num_rows"] == 9
+    [model] = evaluated.inputs.model_inputs
+    assert champion.source == f"models:/{model.model_id}"
+    assert client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
+    cost_s = pd.read_parquet(workspace.output_dir / "episodes").pivot(
+        index="trial_id", columns="planner", values="cost_s"
+    )
+    saved = 100 * (1 - cost_s["pouct"] / cost_s["nonlearned_myopic"])
+    assert metrics["pouct/all/median_percent_better_than_nonlearned_myopic"] == pytest.approx(saved.median())
+    assert metrics["pouct/all/percent_of_trials_later_than_nonlearned_myopic"] == pytest.approx(
+        100 * (saved < -1e-9).mean()
+    )
     logged = {artifact.path for artifact in client.list_artifacts(of_evaluation, "report")}
     assert {"report/index.html", "report/table.csv", "report/tables", "report/figures"} <= logged
     table = client.load_table(store.experiment_id, "table.json", run_ids=[of_evaluation])
@@ -118,6 +145,7 @@ def test_a_second_run_does_nothing_again(workspace: Workspace, cli: Cli) -> None
     again = cli("reproduce", *workspace.overrides, cwd=workspace.path)
     assert again.code == 0
     assert again.out.count("(unchanged, skipped)") == 5
+    assert "pouct 12/12" in " ".join(again.out.split()) and "pouct's mean time is" in again.out
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -148,7 +176,7 @@ def test_missing_rows_are_run_and_no_others(workspace: Workspace, cli: Cli, copi
     part.unlink()
     pq.write_table(pa.Table.from_pandas(kept, SCHEMA, preserve_index=False), part.with_name("part-kept.parquet"))
     done = cli("evaluate", *workspace.overrides, f"output_dir={copied_output}", cwd=workspace.path)
-    assert done.code == 0 and f"{len(kept)} episodes are there already" in done.out
+    assert done.code == 0 and f"there already: {len(kept)} episodes" in done.out
     pd.testing.assert_frame_equal(episodes(copied_output), whole)
     assert (pd.read_parquet(copied_output / "episodes")["planning_s"] == -1.0).sum() == len(kept)
 
@@ -182,7 +210,7 @@ def test_other_homes_for_evaluation(workspace: Workspace, cli: Cli) -> None:
     )
     assert done.code == 0
     assert set(episodes(workspace.path / "outputs" / "others")["home_source"]) == {"others.jsonl.gz"}
-    assert "faulty homes left out: 1; the first: others.jsonl.gz, home 0" in done.out
+    assert "faulty homes left out: 1; the first: others.jsonl.gz, line 1" in done.out
     assert evaluation_manifest(workspace.path / "outputs/others").homes.skipped == 1
 
 
@@ -214,23 +242,50 @@ def test_results_in_a_store_behind_a_url(workspace: Workspace, cli: Cli) -> None
     assert not (workspace.path / "memory:").exists()
 
 
-def test_own_formula_and_an_object_that_is_nowhere(workspace: Workspace, cli: Cli) -> None:
-    done = cli(
-        "evaluate",
-        *workspace.overrides,
-        "evaluation.formula='F Mug & F Unicorn'",
-        "evaluation.robots=[1]",
-        "output_dir=outputs/unicorn",
-        cwd=workspace.path,
-    )
-    assert done.code == 0
-    frame = episodes(workspace.path / "outputs" / "unicorn")
-    assert set(frame["status"]) == {"failed"}
-    assert frame["cost_s"].isna().all()
-    assert frame["error"].str.contains("Unicorn").all()
-    assert set(frame["formula"]) == {"F Mug & F Unicorn"}
-    report = cli("report", "output_dir=outputs/unicorn", cwd=workspace.path)
-    assert report.code == 0
+def test_an_own_formula_runs_in_the_homes_that_can_serve_it(workspace: Workspace, cli: Cli) -> None:
+    homes = evaluation_manifest(workspace.output_dir).homes.read_from.read()
+    test = manifest_of_homes(workspace).split.test
+    small = [home for home in homes if home.id in test and home.size_class == "small"]
+    rare = next(name for name in sorted(objects_in(small)) if sum(name in objects_in([home]) for home in small) == 1)
+    options = [*workspace.overrides, "evaluation.size_classes=[small]", f"evaluation.formula='F {rare}'"]
+    done = cli("evaluate", *options, "output_dir=outputs/own", cwd=workspace.path)
+    assert done.code == 0, done.err
+    lacking = f"{len(small) - 1} of {len(small)} homes lack what the task needs"
+    assert f"{lacking}: its trials are drawn among the others" in done.out
+    frame = episodes(workspace.path / "outputs" / "own")
+    assert set(frame["status"]) == {"accepted"} and frame["home_id"].nunique() == 1
+    assert set(frame["formula"]) == {f"F {rare}"}
+    nowhere = next(name for name in ("Watch", "Vase", "Kettle", "Boots") if name not in objects_in(small))
+    for dry in ("dry_run=true", "dry_run=false"):
+        refused = cli(
+            "evaluate", *options, f"evaluation.formula='F {nowhere}'", dry, "output_dir=outputs/no", cwd=workspace.path
+        )
+        assert refused.code == 2
+        assert f"unknown object '{nowhere}'" in refused.err or "no small home has what the task" in refused.err
+    assert not (workspace.path / "outputs" / "no").exists()
+
+
+@pytest.mark.parametrize("overwrite", ["false", "true"])
+def test_a_start_that_fails_changes_nothing(
+    workspace: Workspace, cli: Cli, copied_output: Path, monkeypatch: pytest.MonkeyPatch, overwrite: str
+) -> None:
+    def nobody(pool: Pool) -> None:
+        raise UserError("cluster.address=ray://nowhere:1: nobody answers there")
+
+    monkeypatch.setattr(Pool, "start", nobody)
+    before = {path: path.read_bytes() for path in copied_output.rglob("*.*") if path.name != ".lock"}
+    common = [*workspace.overrides, "evaluation.trials_per_cell=3", f"overwrite={overwrite}"]
+    for target in (str(copied_output), "outputs/deep/new"):
+        refused = cli("evaluate", *common, f"output_dir={target}", cwd=workspace.path)
+        assert refused.code == 2 and "nobody answers there" in refused.err
+    assert {path: path.read_bytes() for path in before} == before
+    assert not (workspace.path / "outputs" / "deep").exists()
+
+
+def test_without_a_model_nothing_is_left_behind(cli: Cli, tmp_path: Path) -> None:
+    refused = cli("evaluate", "output_dir=outputs/bare")
+    assert refused.code == 2 and "python -m pipeline.train trains one" in refused.err
+    assert not list(tmp_path.iterdir())
 
 
 def test_dry_run_tells_the_time_and_writes_nothing(workspace: Workspace, cli: Cli) -> None:
@@ -245,6 +300,7 @@ def test_dry_run_tells_the_time_and_writes_nothing(workspace: Workspace, cli: Cl
     [
         (["evaluation.formula='F Mug & (F'"], ["F Mug & (F", "^"]),
         (["evaluation.formula='G Mug'"], ["G Mug", "^"]),
+        (["evaluation.formula='F Mugg & FLaptop'"], ["did you mean 'Mug'?"]),
         (["evaluation.homes.files=[nowhere.jsonl]"], ["evaluation.homes.files: no such file", "nowhere.jsonl"]),
         (["evaluation.planners=[pouct,best]"], ["unknown planner 'best'", "nonlearned_myopic"]),
         (["planner.pouct.samples=-1"], ["samples must be at least 1"]),
@@ -277,7 +333,7 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
     for name, said in [
         ("gone.jsonl", ["no such file", "gone.jsonl"]),
         ("cut.jsonl.gz", ["cut.jsonl.gz"]),
-        ("bare.jsonl", ["bare.jsonl, home 0", "no container"]),
+        ("bare.jsonl", ["bare.jsonl, line 1", "no container"]),
         ("other.jsonl", ["other.jsonl, home 0", "rooms"]),
         ("text.jsonl", ["text.jsonl, home 0"]),
     ]:

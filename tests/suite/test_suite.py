@@ -16,6 +16,7 @@ from mrtask.suite.card import render_card
 from mrtask.suite.frozen import SUITES, SuiteError, load_suite, read_suite, write_suite
 from mrtask.suite.recorded import PLANNERS, recorded_episodes
 from mrtask.suite.score import Request, score_planner
+from tests.analysis.synthetic import in_homes
 
 FOLDER = Path(frozen.__file__).parent
 SOME = (0, 59, 60, 119, 121, 179)
@@ -62,8 +63,9 @@ def test_the_card_is_the_same_on_any_number_of_workers() -> None:
     one, two = (score_planner(Request("nonlearned_myopic", workers=workers, trials_per_cell=3)) for workers in (1, 2))
     assert len(one) == 27
     recorded = recorded[recorded["trial_id"].isin(one["trial_id"])]
+    homes = {trial.trial_id: trial.home_id for trial in suite.trials}
     assert one["cost_s"].tolist() == two["cost_s"].tolist()
-    cards = [render_card("nonlearned_myopic", {}, rows, recorded, suite.name) for rows in (one, two)]
+    cards = [render_card("nonlearned_myopic", {}, rows, recorded, suite.name, homes) for rows in (one, two)]
     assert cards[0] == cards[1]
     assert "27 trials" in cards[0] and "not finished" not in cards[0]
     # And it is the recorded one, to the last bit.
@@ -84,7 +86,8 @@ def test_a_bug_in_a_planner_is_a_row_and_is_told() -> None:
     episodes = pd.DataFrame(rows)
     assert (episodes["status"] == "error").tolist() == (episodes["robots"] == 3).tolist()
     recorded = recorded_episodes(load_suite())
-    card = render_card(rows[0]["planner"], {}, episodes, recorded[recorded["trial_id"].isin(episodes["trial_id"])], "x")
+    recorded = recorded[recorded["trial_id"].isin(episodes["trial_id"])]
+    card = render_card(rows[0]["planner"], {}, episodes, recorded, "x", dict.fromkeys(episodes["trial_id"], "home"))
     unfinished = int((episodes["robots"] == 3).sum())
     assert f"{unfinished} trials were not finished" in card
 
@@ -105,8 +108,9 @@ def test_the_card_by_hand() -> None:
         ]
     )
     mine = rows["planner"] == "my_lab.Mine"
-    card = render_card("my_lab.Mine", {"margin_s": 2}, rows[mine], rows[~mine], "a-suite")
-    assert card.startswith("my_lab.Mine (margin_s=2) on a-suite: 4 trials")
+    homes = dict(zip(rows["trial_id"], rows["trial_id"].str[-1:].replace("3", "2"), strict=True))
+    card = render_card("my_lab.Mine", {"margin_s": 2}, rows[mine], rows[~mine], "a-suite", homes)
+    assert card.startswith("my_lab.Mine (margin_s=2) on a-suite: 4 trials in 3 homes")
     lines = [re.sub(r"[\[\],]", "", line).split() for line in card.splitlines()]
     # 45 / 60 and 45 / 40 on the three trials that it finished.
     assert [">", "Mine", "3", "15.000", "25.0", "-12.5"] in lines
@@ -114,6 +118,24 @@ def test_the_card_by_hand() -> None:
     assert [">", "Mine", "50.0%", "50.0%", "50.0%", "75.0%", "75.0%"] in lines
     assert ["learned_myopic", "75.0%", "75.0%", "75.0%", "75.0%", "100.0%"] in lines
     assert "1 trials were not finished" in card
+
+
+def test_the_card_knows_that_trials_share_homes() -> None:
+    """Twelve trials, each three times in its home, have the intervals of twelve trials."""
+    rng = np.random.default_rng(0)
+    rows = [
+        {"trial_id": f"small-1-{number:03d}", "planner": name, "cost_s": cost, "size_class": "small", "robots": 1}
+        for number in range(12)
+        for name, cost in (("learned_myopic", rng.uniform(5, 15)), ("my_lab.Mine", rng.uniform(3, 12)))
+    ]
+    cards = []
+    for times in (1, 3):
+        frame = in_homes(pd.DataFrame(rows), times)
+        mine = frame["planner"] == "my_lab.Mine"
+        homes = dict(zip(frame["trial_id"], frame["home_id"], strict=True))
+        cards.append(render_card("my_lab.Mine", {}, frame[mine], frame[~mine], "a-suite", homes))
+    found = [re.findall(r"\[.*?\]", card) for card in cards]
+    assert found[0] == found[1] and len(found[0]) == 2
 
 
 def test_homes_mapped_otherwise_are_refused() -> None:
@@ -150,6 +172,7 @@ def test_what_is_wrong_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         (["pouct", "speed=3"], "speed: no such key; allowed: options, suite, workers, trials_per_cell, out"),
         (["pouct", "workers=0"], "workers=0: must be a whole number, at least 1"),
         (["pouct", "options=[1]"], r"options=\[1\]: must be names and values"),
+        (["pouct", "options={a: ["], r"options=\{a: \[: must be names and values"),
     ):
         with pytest.raises(InputError, match=said):
             Request.parse(given)

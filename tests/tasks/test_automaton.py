@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
-from mrtask.tasks.automaton import NEVER_ACCEPTS, build_automaton
+from mrtask.tasks.automaton import NEVER_ACCEPTS, build_automaton, check_task
 from mrtask.tasks.formula import FormulaError, parse, push_negations
 from mrtask.tasks.progression import MAX_ATOMS, TRUE, Progression
 from mrtask.tasks.templates import TEMPLATES, make_formula
@@ -281,8 +281,8 @@ def test_bad_formulas_and_names_are_refused():
         build_automaton("F a & F b", ["a"])
     with pytest.raises(FormulaError, match="not co-safe"):
         build_automaton("F a & G b")
-    with pytest.raises(ValueError, match="object name 'Spray Bottle' cannot be written in a formula"):
-        build_automaton("F a", ["a", "Spray Bottle"])
+    with pytest.raises(ValueError, match=r"the name 'Spray.Bottle' holds"):
+        build_automaton("F a", ["a", 'Spray"Bottle'])
     with pytest.raises(ValueError, match="no proposition 'd' in this task; it has: a, b"):
         build_automaton("F a & F b").run(["a", "d"])
 
@@ -309,6 +309,12 @@ def test_dot_shows_states_kinds_and_letters():
     )
 
 
+def test_dot_quotes_what_a_name_may_hold():
+    name = "c-clamp \\d"
+    dot = build_automaton(f'F "{name}"').to_dot()
+    assert 'label="F \\"c-clamp \\\\d\\""' in dot and '0 -> 1 [label="c-clamp \\\\d"]' in dot
+
+
 def test_travels_to_other_processes():
     automaton = build_automaton(make_formula("or_seq", list("abcd")))
     automaton.includes  # noqa: B018 - what is cached travels too
@@ -328,3 +334,26 @@ def test_building_twice_gives_the_same_numbers():
         formula = make_formula(name, list("abcd"[: template.arity]))
         one, other = build_automaton(formula), build_automaton(formula)
         assert one.transitions.tolist() == other.transitions.tolist()
+
+
+@pytest.mark.parametrize(
+    ("formula", "said"),
+    [
+        ("F (a & !a)", "no order of interactions does this task"),
+        ("F (a & b)", "for both of two objects write 'F a & F b'"),
+        ("(!a U b) & (!b U a)", "no order of interactions"),
+        ("false", "no order of interactions"),
+        ("true", "done before anything is done"),
+        ("a | !a", "done before anything is done"),
+        ("F (a | !a)", "done before anything is done"),
+    ],
+)
+def test_what_nobody_can_do_and_what_needs_nobody_are_no_tasks(formula, said):
+    with pytest.raises(FormulaError, match=said):
+        check_task(build_automaton(formula))
+
+
+@pytest.mark.parametrize("formula", ["F a", "!a U b", "X X a", "F (a & X (b & X a))"])
+def test_what_somebody_must_do_is_a_task(formula):
+    automaton = build_automaton(formula)
+    assert check_task(automaton) is automaton

@@ -2,6 +2,7 @@ import pickle
 
 import pytest
 
+from mrtask.errors import InputError
 from mrtask.tasks.formula import (
     MAX_NESTING,
     And,
@@ -18,6 +19,7 @@ from mrtask.tasks.formula import (
     parse,
     proposition_names,
     push_negations,
+    written,
 )
 
 a, b, c, d = (Proposition(name) for name in "abcd")
@@ -44,6 +46,7 @@ OBJECTS = ("Mug", "RemoteControl", "Laptop")
         ("a -> b -> c", Implies(a, Implies(b, c))),
         ("a | b -> c & d", Implies(Or((a, b)), And((c, d)))),
         ("  F\n\ta ", Eventually(a)),
+        ('F "c-clamp" & "F" U"a"', And((Eventually(Proposition("c-clamp")), Until(Proposition("F"), a)))),
     ],
 )
 def test_parse_binds_as_documented(text, expected):
@@ -67,9 +70,18 @@ def test_parse_binds_as_documented(text, expected):
         ("F Mug % Laptop", "unexpected character '%'", 7),
         ("F 2Mug", "unexpected character '2'", 3),
         ("F Mug - > F Laptop", "unexpected character '-'", 7),
-        ("F Mig", "unknown object 'Mig', did you mean 'Mug'?; allowed: Laptop, Mug, RemoteControl", 3),
+        ("F Mug-2", """a name with other signs stands in double quotes, as in F "c-clamp\"""", 6),
+        ("F c-clamp", "unexpected character '-', did you mean \"c-clamp\"?", 4),
+        ("F Mug & F spray bottle", """unknown object 'spray', did you mean '"spray bottle"'?""", 11),
+        ('F "c-clam"', """unknown object 'c-clam', did you mean '"c-clamp"'?""", 3),
+        ('F "c-clamp', "this double quote is never closed", 3),
+        ('F " "', "a name cannot be empty", 3),
+        ('F "a\nb"', r"the name 'a\nb' holds '\n'; names have no double quotes and control characters", 3),
+        ("XF Mug", "unknown object 'XF', did you mean 'X F'?", 1),
+        ("XF(Mug)", "unknown object 'XF', did you mean 'X F'?", 1),
+        ("F Mig", "unknown object 'Mig', did you mean 'Mug'?; allowed: Laptop, Mug, RemoteControl, c-clamp", 3),
         ("F remotecontrol", "unknown object 'remotecontrol', did you mean 'RemoteControl'?", 3),
-        ("F Zebra", "unknown object 'Zebra'; allowed: Laptop, Mug, RemoteControl", 3),
+        ("F Zebra", "unknown object 'Zebra'; allowed: Laptop, Mug, RemoteControl, c-clamp", 3),
         ("F Mug & FLaptop", "unknown object 'FLaptop', did you mean 'F Laptop'?", 9),
         ("XFMug", "unknown object 'XFMug', did you mean 'X F Mug'?", 1),
         ("MugULaptop", "unknown object 'MugULaptop', did you mean 'Mug U Laptop'?", 1),
@@ -86,7 +98,7 @@ def test_parse_binds_as_documented(text, expected):
 )
 def test_errors_say_what_and_where(text, message, position):
     with pytest.raises(FormulaError) as caught:
-        parse(text, OBJECTS)
+        parse(text, (*OBJECTS, "c-clamp", "spray bottle"))
     assert message in caught.value.message
     assert caught.value.position == position
 
@@ -131,16 +143,30 @@ def test_proposition_names_are_in_order_of_appearance():
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["Mug", "F"], r"object name 'F' is reserved in formulas \(X F U G true false\); rename the object"),
-        (["Spray Bottle"], "object name 'Spray Bottle' cannot be written in a formula: use letters, digits and _"),
-        ([""], "object name '' cannot be written"),
+        (["Mug", 'a"b'], """the name 'a"b' holds '"'; names have no double quotes and control characters"""),
+        (["Mug", "a\n"], r"the name 'a\\n' holds"),
+        (["\ud800"], r"the name '\\ud800' holds"),
+        ([" "], "a name cannot be empty"),
         (["Mug", "Pen", "Mug"], "object name 'Mug' is given twice"),
         ("Mug", r"must be a collection of names, not the one string 'Mug'; write \['Mug'\]"),
     ],
 )
 def test_names_unfit_for_formulas_are_refused(names, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as refused:
         check_names(names)
+    assert isinstance(refused.value, InputError) == ("Mug" not in message)
+
+
+def test_operators_without_spaces_are_told_where_any_name_is_allowed():
+    for text in ("XF Mug", "F Mug & FX (Mug)"):
+        with pytest.raises(FormulaError, match=r"found '.*'; did you mean '(X F|F X)' for '(XF|FX)'\?"):
+            parse(text)
+
+
+@pytest.mark.parametrize("name", ["Mug", "Größe_2", "c-clamp", "2 mugs", "X", "true", "a & b", "a,b", "child's", "$x$"])
+def test_every_fit_name_can_be_written_in_a_formula(name):
+    assert parse(f"F {written(name)} & F a", [name, "a"]) == And((Eventually(Proposition(name)), Eventually(a)))
+    assert (written(name) == name) == (name in ("Mug", "Größe_2"))
 
 
 def test_names_keep_their_order_unless_they_have_none():

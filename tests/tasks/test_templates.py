@@ -74,6 +74,7 @@ def test_the_authors_order_of_three_is_seq3_without_a_clause_that_says_nothing_n
 
 def test_make_formula_puts_the_objects_in_order():
     assert make_formula("seq2", ["Mug", "RemoteControl"]) == "(!RemoteControl U Mug) & F RemoteControl"
+    assert make_formula("seq2", ["Mug", "c-clamp"]) == '(!"c-clamp" U Mug) & F "c-clamp"'
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_make_formula_puts_the_objects_in_order():
         ("and2", ["Mug"], r"template 'and2' \(a and b\) takes 2 objects, not 1: Mug"),
         ("and2", [], "takes 2 objects, not 0: none"),
         ("seq2", ["Mug", "Mug"], "object name 'Mug' is given twice"),
-        ("seq2", ["Mug", "Spray Bottle"], "object name 'Spray Bottle' cannot be written in a formula"),
+        ("seq2", ["Mug", 'Spray "Bottle"'], "the name 'Spray .*' holds '\"'"),
     ],
 )
 def test_make_formula_refuses_what_does_not_fit(template, objects, message):

@@ -1,5 +1,6 @@
 """Tasks in words: what they mean against the templates and naive evaluation, and what is refused with its readings."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrtask.errors import InputError
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.formula import FormulaError
 from mrtask.tasks.templates import TEMPLATES, make_formula
@@ -35,6 +37,7 @@ def same(one: str, other: str, letters: str) -> bool:
         ("a, then b, then c", "seq3"),
         ("a or b, then c, then d", "or_seq"),
         ("(a or b) then c then d", "or_seq"),
+        ("Find the a or b. Then c. Then d.", "or_seq"),
     ],
 )
 def test_words_mean_what_the_papers_templates_mean(text, template):
@@ -147,9 +150,19 @@ def test_deliveries_name_their_places():
         read_task("bring the pillow and the laptop to the sofa", OBJECTS, ["sofa"])
 
 
+@pytest.mark.parametrize("text", ["XF Pillow", "XF(Pillow)", "FX Pillow"])
+@pytest.mark.parametrize("objects", [None, OBJECTS])
+def test_operators_without_spaces_are_no_objects(text, objects):
+    with pytest.raises(FormulaError, match=rf"did you mean '{text[0]} {text[1]}'"):
+        read_task(text, objects)
+
+
 def test_formulas_pass_unchanged_and_keep_their_errors():
     formula = "(!Pillow U Laptop) & F Pillow"
     assert read_task(formula, OBJECTS).formula == formula
+    for formula in ("F (Pillow & !Pillow)", "true"):
+        with pytest.raises(FormulaError, match="this task"):
+            read_task(formula, OBJECTS)
     with pytest.raises(FormulaError, match="did you mean 'Pillow'"):
         read_task("F Pilow", OBJECTS)
 
@@ -163,8 +176,17 @@ def test_formulas_pass_unchanged_and_keep_their_errors():
         ("(a and b", r"'\(' is never closed"),
         ("a and b)", r"'\)' closes nothing"),
         ("a (b)", "is missing before"),
-        ("a; b", "unexpected ';'"),
-        ("a then b then a", "a comes twice"),
+        (
+            "a; b",
+            "unexpected ';'; words, commas, full stops and brackets are allowed, and any sign in a name",
+        ),
+        ("bring a to c. Bring b to c.", "what does the full stop stand for\\? Put 'and', 'or' or 'then' after it"),
+        ("a then b then a", r"a comes twice, and a task cannot ask for two of a kind; .* as in 'F \(a & X F a\)'"),
+        ('red "c-clamp"', "a name in double quotes stands alone"),
+        ('"" then b', "a name cannot be empty"),
+        ("2 mugs", "'2 mugs' cannot be read as an object"),
+        ("F a & F XFMug", "'XFMug' looks like operators without spaces, did you mean 'X F Mug'\\?"),
+        ("F FXx", "did you mean 'F Xx'\\? In double quotes it is a name: \"FXx\""),
         ("bring a to b then b", "b comes twice"),
         (" and ".join("abcdefghijk"), "more than 10 objects"),
         ("x" * 501, "longer than 500"),
@@ -201,8 +223,38 @@ def test_any_text_is_a_task_or_refused(words):
 def test_without_a_list_of_objects_sentences_are_no_names(text):
     with pytest.raises(WordsError, match="cannot be read as an object; a name has up to 3 words, as in 'red mug'"):
         read_task(text)
+    read_task(text, places=["desk"], checked_later=True)
 
 
 def test_names_of_few_words_need_no_list():
     assert read_task("the red mug, then my_open_box").propositions == ("red_mug", "my_open_box")
     assert read_task("open box", ["OpenBox"]).propositions == ("OpenBox",)
+    assert read_task('find "the red room", then "FMug".').propositions == ("the red room", "FMug")
+    assert read_task('F "FMug"').propositions == ("FMug",)
+
+
+def test_names_with_other_signs_are_objects_and_places_like_all_others():
+    names, places = ["c-clamp", "remote control", "mug (red)", "X"], ["desk-1", "side table"]
+    read = read_task("Bring the c-clamp to desk 1, then put the remote on the side table.", names, places)
+    assert read.propositions == ("c-clamp", "remote control", "desk-1", "side table")
+    assert read.places == ("desk-1", "side table")
+    quoted = read_task('bring "c-clamp" to "desk-1", then put "remote control" on "side table"', names, places)
+    assert quoted == read == replace(read_task(read.formula, names, places), propositions=read.propositions)
+    assert read_task('mug and "X"', names).formula == 'F "mug (red)" & F "X"'
+    with pytest.raises(WordsError, match="'c clam' is not an object here, did you mean 'c-clamp'\\?"):
+        read_task('"c clam"', names)
+
+
+def test_deliveries_without_places_are_refused_with_where_there_are_some():
+    with pytest.raises(WordsError, match="no places to deliver to: live teams and scenarios know containers by name"):
+        read_task("bring the pillow to the desk", OBJECTS, ())
+
+
+@given(st.text('ab "(),.-_1Xand', max_size=12), st.text("ab \"'$&|()-_1X", min_size=1, max_size=5))
+def test_any_text_and_any_name_is_a_task_or_refused(text, name):
+    for listed in (None, [name, "a"]):
+        try:
+            read = read_task(text, listed)
+        except InputError:
+            continue
+        assert build_automaton(read.formula, read.propositions).propositions == read.propositions

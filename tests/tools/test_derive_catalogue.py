@@ -7,7 +7,7 @@ from shapely.geometry import Polygon
 from mrtask.homes.catalogue import CONTAINER_TYPES, load_catalogue
 from mrtask.homes.home import SIZE_CLASSES
 from mrtask.homes.procthor import load_asset_types
-from tools.derive_catalogue import _cell_side_m, derive
+from tools.derive_catalogue import _cell_side_m, derive, divide, main
 
 
 def shares_in(value):
@@ -67,3 +67,29 @@ def test_the_catalogue_is_what_its_script_makes_of_the_real_homes(shared_homes):
     catalogue = load_catalogue()
     for section in ("homes", "doors", "rooms", "types", "objects"):
         assert json.loads(json.dumps(facts[section])) == json.loads(json.dumps(getattr(catalogue, section))), section
+
+
+def test_a_share_of_the_homes_depends_on_their_content_alone():
+    houses = [{"rooms": [number], "objects": []} for number in range(200)]
+    inside, outside = divide(houses, 0.0, 0.5)
+    assert 70 < len(inside) < 130 and not [house for house in inside if house in outside]
+    backwards, _ = divide([{"objects": [], "rooms": house["rooms"]} for house in reversed(houses)], 0.0, 0.5)
+    assert sorted(house["rooms"] for house in backwards) == sorted(house["rooms"] for house in inside)
+    lower, upper = divide(houses, 0.0, 0.25)[0], divide(houses, 0.25, 0.5)[0]
+    assert sorted(house["rooms"] for house in (*lower, *upper)) == sorted(house["rooms"] for house in inside)
+    assert divide(houses, 0.0, 1.0) == (houses, [])
+
+
+@pytest.mark.parametrize("share", [("0.5", "0.5"), ("0", "1.5"), ("0.999", "1")])
+def test_a_share_without_homes_is_refused(share, tmp_path, capsys, monkeypatch):
+    with gzip.open(tmp_path / "homes.jsonl.gz", "wt") as file:
+        file.write(json.dumps({"rooms": []}) + "\n")
+    (tmp_path / "assets.json").write_text("{}")
+    files = [str(tmp_path / "homes.jsonl.gz"), "--assets", str(tmp_path / "assets.json")]
+    monkeypatch.setattr(
+        "sys.argv", ["derive_catalogue.py", *files, "--out", str(tmp_path / "out.yaml"), "--share", *share]
+    )
+    with pytest.raises(SystemExit):
+        main()
+    assert f"--share {float(share[0]):g} {float(share[1]):g}: " in capsys.readouterr().err
+    assert not (tmp_path / "out.yaml").exists()

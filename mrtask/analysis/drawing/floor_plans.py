@@ -1,6 +1,7 @@
 """Draw a home as a floor plan: rooms, doors, furniture with its contents, and where the robot can be."""
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib.patheffects as patheffects
@@ -15,6 +16,8 @@ from shapely.geometry import Polygon as ShapelyPolygon
 
 from mrtask.homes.home import SIZE_CLASSES, Home, Point, Polygon, Room
 from mrtask.maps.home_map import HomeMap
+from mrtask.maps.ros_map import CellKind, ScannedFloor
+from mrtask.names import counted
 
 ROOM_COLORS: Mapping[str, str] = {
     "Bathroom": "#dcebf2",
@@ -35,7 +38,15 @@ CHAR_WIDTH, LINE_HEIGHT = 0.65, 1.3
 """Relative to the font's size."""
 UNNAMED_TYPES = frozenset({"Chair"})
 """They stand close together around tables, whose names they would hide."""
-CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5}
+SCANNED: Mapping[CellKind, tuple[str, str]] = {
+    CellKind.NOT_FREE: ("#3b3f45", "not free"),
+    CellKind.FLOOR: ("#e4eedd", "floor"),
+    CellKind.UNKNOWN_AS_FLOOR: ("#e0b03c", "floor, though the grey is that of unknown space"),
+    CellKind.LEFT_OUT: ("#c2575a", "left out: no way leads there"),
+}
+"""The colour and the meaning of each kind of cell of a scan, by the kinds' numbers."""
+TITLE_CHARS = 110
+CENTERED: Mapping[str, Any] = {"ha": "center", "va": "center", "zorder": 5, "parse_math": False}
 ROOM_NAME_COLOR = "#555b63"
 GALLERY_CELL_IN = 4.0
 
@@ -83,6 +94,32 @@ def draw_rooms(home: Home, ax: Axes) -> None:
     _draw_walls(home, ax)
 
 
+def draw_scan(scan: ScannedFloor, ax: Axes) -> None:
+    """Draw a scanned floor into ``ax``, in metres: what each cell was read as, and the containers with their names."""
+    rows, cols = scan.cells.shape
+    (x, y), size_m = scan.origin_m, scan.resolution_m
+    ax.imshow(
+        scan.cells,
+        extent=(x, x + cols * size_m, y, y + rows * size_m),
+        origin="lower",
+        cmap=ListedColormap([color for color, _ in SCANNED.values()]),
+        vmin=-0.5,
+        vmax=len(SCANNED) - 0.5,
+        interpolation="nearest",
+    )
+    for container in scan.home.containers:
+        ax.add_patch(Patch(container.footprint, facecolor=EMPTY_COLOR, edgecolor=WALL_COLOR, linewidth=0.6, zorder=2))
+        _label([container.id], container.footprint, ax)
+    present = [kind for kind in SCANNED if (scan.cells == kind).any()]
+    handles = [Patch([(0, 0)], facecolor=SCANNED[kind][0], label=SCANNED[kind][1]) for kind in present]
+    ax.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, frameon=False, fontsize=ROOM_FONT_PT
+    )
+    title = "\n".join(fill(text, TITLE_CHARS) for text in scan.told)
+    ax.set_title(title, fontsize=ROOM_FONT_PT, loc="left", parse_math=False)
+    ax.set_axis_off()
+
+
 def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figure:
     """Homes side by side: a block of columns for each title, a row for each size class."""
     rows = [
@@ -98,7 +135,10 @@ def draw_gallery(columns: Mapping[str, Sequence[tuple[Home, HomeMap]]]) -> Figur
             members = [pair for pair in homes if pair[0].size_class == name]
             for ax, (home, home_map) in zip(line, members, strict=False):
                 draw_home(home, home_map, ax)
-                ax.set_title(f"{name}, {home.area_m2:.0f} m2, {len(home.containers)} containers", fontsize=ROOM_FONT_PT)
+                ax.set_title(
+                    f"{name}, {home.area_m2:.0f} m2, {counted(len(home.containers), 'container')}",
+                    fontsize=ROOM_FONT_PT,
+                )
             for ax in line[len(members) :]:
                 ax.set_axis_off()
     return figure

@@ -34,6 +34,7 @@ from mrtask.analysis.results.statistics import (
     Estimate,
     PairedCosts,
     Summary,
+    homes_of,
     paired_costs,
 )
 from mrtask.arrays import Floats
@@ -124,6 +125,7 @@ def gaps_of(
     All are over the trials that every planner of the ladder finished, so that what they share is the same for all.
     """
     costs = paired_costs(episodes, "cost_cells")[[KNOWN, ladder.truth, *ladder.planners]].dropna()
+    homes = homes_of(episodes)
     trials = episodes.drop_duplicates("trial_id").set_index("trial_id").loc[costs.index]
     certified = {(one.cell, one.planner): one.gap_percent for one in optimality}
     gaps = []
@@ -133,7 +135,7 @@ def gaps_of(
             inside &= trials["size_class"] == cell[0]
         if cell[1] != ALL_TEAMS:
             inside &= trials["robots"] == cell[1]
-        paired = PairedCosts(costs[inside])
+        paired = PairedCosts(costs[inside], homes)
         for planner in ladder.planners:
             above = ladder.truth if planner in ladder.informed else ladder.model
             steps = (KNOWN, ladder.truth, above, planner)

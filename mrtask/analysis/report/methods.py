@@ -1,6 +1,6 @@
 """Text for papers that use a run: a methods paragraph with the run's numbers and versions, and citations."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import pandas as pd
@@ -9,11 +9,11 @@ from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.by_template import templates_in_order
 from mrtask.analysis.report.for_papers import latex_text, markdown_text
 from mrtask.analysis.report.report_data import ReportData
-from mrtask.analysis.report.run_facts import Manifest, part
 from mrtask.analysis.results.episodes import size_classes_in_order
+from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.statistics import RESAMPLES
-from mrtask.names import counted
+from mrtask.analysis.results.statistics import RESAMPLES, home_repeats, homes_of
+from mrtask.names import counted, listed
 
 SOFTWARE_TITLE = "mrtask: multi-robot task planning in homes where nobody knows which object lies where"
 SOFTWARE_AUTHORS = "The mrtask authors"
@@ -74,7 +74,7 @@ def _trials_sentence(rows: pd.DataFrame, homes: Manifest) -> str:
     each = str(cells.iloc[0]) if cells.nunique() == 1 else f"{cells.min()} to {cells.max()}"
     classes, teams = size_classes_in_order(trials["size_class"].unique()), sorted(trials["robots"].unique())
     text = f"We ran {counted(len(trials), 'trial')}, {each} for each of {counted(len(cells), 'cell')}"
-    text += f" of home size ({_listed(classes)}) and team size ({_listed(map(str, teams))})"
+    text += f" of home size ({listed(classes)}) and team size ({listed(map(str, teams))})"
     if "home_id" in trials.columns and trials["home_id"].notna().any():
         source = f" ({homes['source']})" if homes.get("source") else ""
         text += f", in {counted(trials['home_id'].nunique(), 'home')}{source}"
@@ -86,7 +86,7 @@ def _task_sentences(rows: pd.DataFrame, evaluation: Manifest) -> list[str]:
     if "template" in rows.columns and rows["template"].notna().any():
         names = templates_in_order(rows)
         forms = "form" if len(names) == 1 else "forms"
-        sentences.append(f"Tasks are co-safe LTL formulas of the {forms} {_listed(names)}.")
+        sentences.append(f"Tasks are co-safe LTL formulas of the {forms} {listed(names)}.")
     keys = ("speed_m_per_s", "search_time_s", "interact_time_s")
     if all(isinstance(evaluation.get(key), int | float) for key in keys):
         speed, search, interact = (evaluation[key] for key in keys)
@@ -102,10 +102,10 @@ def _planner_sentences(data: ReportData) -> list[str]:
     options = part(data.manifest, "planner_options")
     samples = {name: part(options, name).get("samples") for name in data.summary.planners}
     named = [
-        planner_label(name) + (f" ({count:,} samples)" if isinstance(count, int) else "")
+        planner_label(name) + (f" (at most {count:,} samples)" if isinstance(count, int) else "")
         for name, count in samples.items()
     ]
-    return [f"The {'planner is' if len(named) == 1 else 'planners are'} {_listed(named)}; samples are per decision."]
+    return [f"The {'planner is' if len(named) == 1 else 'planners are'} {listed(named)}; samples are per decision."]
 
 
 def _model_sentences(model: Manifest) -> list[str]:
@@ -126,7 +126,8 @@ def _outcome_sentences(rows: pd.DataFrame) -> list[str]:
         if accepted == len(rows)
         else f"Of {len(rows):,} episodes {accepted:,} finished their task; the others have no cost and are in no mean.",
         "An improvement is one minus the ratio of mean costs over the trials that both planners finished; intervals "
-        f"are 95 % bias-corrected and accelerated bootstrap intervals from {RESAMPLES:,} paired resamples of trials.",
+        f"are 95 % bias-corrected and accelerated bootstrap intervals from {RESAMPLES:,} paired resamples "
+        f"of {_resampled(rows)}.",
     ]
 
 
@@ -141,16 +142,15 @@ def _machine_sentences(rows: pd.DataFrame) -> list[str]:
     return sentences
 
 
+def _resampled(rows: pd.DataFrame) -> str:
+    homes = homes_of(rows)
+    return f"homes, each with all of its trials ({homes.nunique()} homes)" if home_repeats(homes) else "trials"
+
+
 def _software_sentences(manifest: Manifest) -> list[str]:
     named = [f"mrtask {version('mrtask')}" + (f" (code {code})" if (code := manifest.get("code_version")) else "")]
     python = part(manifest, "machine").get("python")
     named += [f"Python {python}"] if python else []
     named += [f"{name} {number}" for name, number in part(manifest, "packages").items()]
     seed = f"The seed is {manifest['seed']}; " if manifest.get("seed") is not None else ""
-    return [f"{seed}{'the' if seed else 'The'} software is {_listed(named)}."]
-
-
-def _listed(names: Iterable[str]) -> str:
-    """``a, b and c``"""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
+    return [f"{seed}{'the' if seed else 'The'} software is {listed(named)}."]

@@ -27,6 +27,7 @@ from mrtask.analysis.results.statistics import (
     Estimate,
     Summary,
     cell_name,
+    homes_of,
     improvement_of_means,
     paired_costs,
 )
@@ -153,9 +154,10 @@ def judge_growth(data: ReportData, planner: str) -> Judged:
     draws = {}
     for number, name in enumerate(classes):
         # Trials that the planner and both baselines finished, in this order of columns.
-        costs = paired_costs(data.rows[data.rows["size_class"] == name]).reindex(columns=[planner, *BASELINES]).dropna()
+        rows = data.rows[data.rows["size_class"] == name]
+        costs = paired_costs(rows).reindex(columns=[planner, *BASELINES]).dropna()
         if len(costs):
-            draws[name] = Bootstrap(costs.to_numpy(), seed=SEED + number)
+            draws[name] = Bootstrap(costs.to_numpy(), homes_of(rows)[costs.index].to_numpy(), seed=SEED + number)
     if len(draws) < 2:
         return Judged(Verdict.NOT_IN_RUN, ("homes of fewer than two size classes",))
     steps: list[Estimate] = []
@@ -177,19 +179,19 @@ def judge_growth(data: ReportData, planner: str) -> Judged:
 def improvement_growth(first: Bootstrap, second: Bootstrap, column: int) -> Estimate:
     """By how many points the improvement is larger in the second group of trials than in the first.
 
-    The groups share no trial, so each is resampled by itself; the interval is the plain one of percentiles.
+    The groups share no home, so each is resampled by itself; the interval is the plain one of percentiles.
 
     Args:
         column: the baseline's column; the planner's is 0.
     """
-    n = min(len(first.costs), len(second.costs))
+    n, homes = min(len(first.costs), len(second.costs)), min(first.homes, second.homes)
     values = [float(improvement_of_means(group.costs[:, [0, column]].mean(axis=0))) for group in (first, second)]
     drawn = [group.resampled(improvement_of_means, [0, column]) for group in (first, second)]
     value, differences = values[1] - values[0], drawn[1] - drawn[0]
     if not np.isfinite(value) or not np.isfinite(differences).all():
-        return Estimate(value, np.nan, np.nan, n)
+        return Estimate(value, np.nan, np.nan, n, homes)
     low, high = np.quantile(differences, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(value, float(low), float(high), n)
+    return Estimate(value, float(low), float(high), n, homes)
 
 
 def _waits_and_goes_on(data: ReportData, planners: Sequence[str]) -> Claim:

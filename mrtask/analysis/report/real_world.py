@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from math import dist
 
-from mrtask.analysis.report.run_facts import Manifest, part
+from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.published import RealWorldTrial
 from mrtask.execution.trace import Trace
 from mrtask.tasks.automaton import build_automaton

@@ -15,9 +15,10 @@ from mrtask.analysis.drawing.trajectories import Pick, task_objects
 from mrtask.analysis.page.rendering import Findings
 from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
-from mrtask.analysis.report.run_facts import Manifest, missing_episodes, model_warning, without_folders
+from mrtask.analysis.report.run_facts import missing_episodes, model_warning, without_folders
 from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
 from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
+from mrtask.analysis.results.manifest import Manifest
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.published import Published, load_published
 from mrtask.analysis.results.roles import main_planner

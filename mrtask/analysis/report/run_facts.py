@@ -14,8 +14,8 @@ import pandas as pd
 
 from mrtask.analysis.page.style import NOTHING, planner_label, seconds
 from mrtask.analysis.page.tables import Entry, Row, Table
+from mrtask.analysis.results.manifest import Manifest, part
 
-Manifest = Mapping[str, Any]
 Fact = tuple[str, str]
 
 METRICS = {
@@ -53,23 +53,16 @@ def _short(path: str, base: Path) -> str:
     return str(Path(path).relative_to(base)) if inside else f".../{Path(path).name}"
 
 
-def part(manifest: Manifest, key: str) -> Manifest:
-    """A nested part of the manifest; empty where it is missing or no mapping."""
-    value = manifest.get(key)
-    return value if isinstance(value, Mapping) else {}
-
-
 def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
     """Facts on the likelihood model that the planners used."""
     model = part(manifest, "model")
     version = model.get("version")
     if version is None and "model_version" in episodes.columns:
         version = ", ".join(sorted(episodes["model_version"].dropna().astype(str).unique())) or None
-    champion = model.get("champion")
     listed = [
         ("name", model.get("name")),
         ("version", version),
-        ("champion", None if champion is None else "yes" if champion else "no"),
+        ("champion", _champion(model, version)),
         ("kind", model.get("kind")),
         ("embedding", model.get("embedding")),
         ("training homes", model.get("training_homes")),
@@ -78,6 +71,15 @@ def model_facts(manifest: Manifest, episodes: pd.DataFrame) -> tuple[Fact, ...]:
         ("note", model.get("note")),
     ]
     return _shown(listed)
+
+
+def _champion(model: Manifest, version: str | None) -> str | None:
+    """Whether the version that planned was the champion, and if not which was."""
+    champion = model.get("champion_version")
+    if champion is None or version is None:
+        promoted = model.get("champion")
+        return None if promoted is None else "yes" if promoted else "no"
+    return "yes" if champion == version else f"no, the champion was version {champion}; this run did not plan with it"
 
 
 def beats_frequency(manifest: Manifest) -> bool | None:
@@ -107,14 +109,18 @@ def model_warning(manifest: Manifest) -> str | None:
 
 
 def metric_table(manifest: Manifest) -> Table | None:
-    """The metrics of the model and of the frequency table; None where the run recorded none."""
+    """The metrics of the model that planned, of those trained beside it and the frequency table; None without any."""
+    model, rivals = part(manifest, "model"), manifest.get("rivals") or ()
+    shown = {f"this model, {model['kind']}" if model.get("kind") else "this model": part(model, "metrics")}
+    shown |= {f"{rival['kind']}, version {rival['version']}": part(rival, "metrics") for rival in rivals}
+    shown |= {"frequency table": part(model, "frequency_metrics")}
     rows = []
     for metric, (name, better) in METRICS.items():
-        values = _metric(manifest, metric)
-        if values != (None, None):
+        values = [_number(metrics.get(metric)) for metrics in shown.values()]
+        if any(value is not None for value in values):
             entries = tuple(Entry(NOTHING if value is None else f"{value:.4f}") for value in values)
             rows.append(Row(f"{name} ({better} is better)" if better else name, entries))
-    return Table((("", "this model"), ("", "frequency table")), tuple(rows)) if rows else None
+    return Table(tuple(("", name) for name in shown), tuple(rows)) if rows else None
 
 
 def _metric(manifest: Manifest, metric: str) -> tuple[float | None, float | None]:
@@ -179,7 +185,7 @@ def failure_table(episodes: pd.DataFrame) -> Table | None:
     rows = episodes[episodes["status"] != "accepted"]
     if rows.empty:
         return None
-    reasons = rows["error"].map(_reason) if "error" in rows.columns else pd.Series("", index=rows.index)
+    reasons = rows["error"].map(reason_of) if "error" in rows.columns else pd.Series("", index=rows.index)
     grouped = rows.assign(reason=reasons).groupby(["status", "reason"])
     found = sorted(grouped, key=lambda failure: (-len(failure[1]), failure[0]))
     lines = [
@@ -230,7 +236,7 @@ def _nested(value: object) -> str | None:
     return f"({_text(value)})" if isinstance(value, Mapping) else _text(value)
 
 
-def _reason(error: object) -> str:
+def reason_of(error: object) -> str:
     """The first line of an error; of a traceback, the last, which names the exception."""
     if not isinstance(error, str) or not error.strip():
         return ""

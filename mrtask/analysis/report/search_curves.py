@@ -21,13 +21,12 @@ from mrtask.analysis.page.charts import (
     with_band,
 )
 from mrtask.analysis.page.style import BLACK, GREY, house_style, planner_label, planner_looks, seconds
+from mrtask.analysis.results.episodes import BUDGET
 from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES, RULE
-from mrtask.analysis.results.statistics import Estimate, PairedCosts, decision_s, paired_costs
+from mrtask.analysis.results.statistics import Estimate, PairedCosts, decision_s, homes_of, paired_costs
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 
-BUDGET = "sample_budget"
-"""Column: the samples per decision that a planner may draw; NaN for a planner that draws none."""
 LEVEL_PLANNERS = (INFORMED_BASELINE, RULE, KNOWN)
 """Drawn as level lines beside the curves, where they ran."""
 MIN_TEAMS = 4
@@ -118,7 +117,7 @@ def _draw_team_curves(shown: SampleCurves, robots: int, upper: Axes, lower: Axes
     costs = rows.pivot(index="trial_id", columns=["planner", BUDGET], values="cost_cells")
     every = [(name, budget) for name in shown.planners for budget in shown.budgets[name]]
     points = [point for point in every if point in costs.columns]
-    paired = PairedCosts(costs[points].dropna())
+    paired = PairedCosts(costs[points].dropna(), homes_of(rows))
     for name in shown.planners:
         own = [point for point in points if point[0] == name]
         _curve(upper, own, [paired.mean(point) for point in own], looks[name])
@@ -168,8 +167,9 @@ def _costs_by_team(episodes: pd.DataFrame) -> dict[int, PairedCosts]:
     """Team size -> the costs of the trials that all planners finished; in rising order."""
     planners, found = list(episodes["planner"].unique()), {}
     for robots in sorted(map(int, episodes["robots"].unique())):
-        costs = paired_costs(episodes[episodes["robots"] == robots], "cost_cells")
-        found[robots] = PairedCosts(costs.reindex(columns=planners).dropna())
+        rows = episodes[episodes["robots"] == robots]
+        costs = paired_costs(rows, "cost_cells").reindex(columns=planners).dropna()
+        found[robots] = PairedCosts(costs, homes_of(rows))
     return found
 
 

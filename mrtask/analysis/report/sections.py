@@ -23,7 +23,10 @@ from mrtask.analysis.report.by_template import draw_templates, results_by_templa
 from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdown, methods_sentences
 from mrtask.analysis.report.paper_claims import claims_table, count_verdicts, judge_claims
 from mrtask.analysis.report.planner_table import planner_table
+from mrtask.analysis.report.planner_words import describe_planners, homes_sentence, model_sentence, protocol
+from mrtask.analysis.report.reliability import draw_reliability
 from mrtask.analysis.report.report_data import ReportData
+from mrtask.analysis.report.run_facts import part
 from mrtask.analysis.report.trial_browser import (
     PLOT_BOTTOM,
     PLOT_LEFT,
@@ -36,7 +39,7 @@ from mrtask.analysis.report.trial_browser import (
 )
 from mrtask.analysis.report.wins import draw_wins, pair_table
 from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
-from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P
+from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P, home_repeats, homes_of
 from mrtask.names import counted
 
 
@@ -300,8 +303,16 @@ def model_section(data: ReportData) -> Content:
     return _content(
         "model",
         _table("model", title, run_facts.metric_table(data.manifest), "metric"),
+        _picture(
+            "reliability",
+            "How often objects were where the model said, in the homes of this run",
+            "Pairs of a container and an object, by the probability that planners were given before any search. On the "
+            "line, probabilities are right; below it, the model is too sure. Bars are 95 % intervals over homes.",
+            draw_reliability(data.manifest.get("reliability") or ()),
+        ),
         facts=run_facts.model_facts(data.manifest, data.episodes),
         warning=run_facts.model_warning(data.manifest),
+        rivals=" and ".join(str(rival["kind"]) for rival in data.manifest.get("rivals") or ()),
     )
 
 
@@ -324,10 +335,17 @@ def run_section(data: ReportData) -> Content:
 def method_section(data: ReportData) -> Content:
     """How the numbers are computed, and where the published ones come from."""
     title = "The paper's trials in real apartments"
+    homes = homes_of(data.rows)
     return _content(
         "method",
         _table("real-world", title, cell_tables.real_world_table(data.published), "trial"),
+        planners=describe_planners(data),
+        model=model_sentence(part(data.manifest, "model")),
+        homes=homes_sentence(data.summary, data.published),
         resamples=RESAMPLES,
+        trials=len(homes),
+        home_count=homes.nunique(),
+        repeated=home_repeats(homes),
         least_for_interval=MIN_TRIALS_FOR_INTERVAL,
         significant=SIGNIFICANT_P,
         citation=data.published.citation,
@@ -356,8 +374,9 @@ def claims_section(data: ReportData) -> Content:
         "claims",
         _table("claims", "The paper's claims, judged on this run", claims_table(claims, data.judged), "claim"),
         claims=claims,
+        protocols=[protocol(data, name) for name in data.judged],
     )
-    counts = "; ".join(f"{planner_label(name)}: {count_verdicts(claims, name)}" for name in data.judged)
+    counts = "; ".join(f"{protocol(data, name)}: {count_verdicts(claims, name)}" for name in data.judged)
     return replace(content, in_short=f"{counts}.")
 
 

@@ -1,8 +1,9 @@
 """How often a planner finishes sooner than another on the same trial: wins, ties, losses, and whether they are chance.
 
 The share of wins is among the trials that one of the two won, with Wilson's interval; the sign test is exact and leaves
-ties out too (both are SciPy's). They measure how often, not by how much: a planner may win most trials and lose on
-average.
+ties out too (both are SciPy's). Where homes repeat, the interval comes from resampling homes, and the test counts the
+homes in which one of the two won more trials. They measure how often, not by how much: a planner may win most trials
+and lose on average.
 """
 
 import numpy as np
@@ -31,7 +32,9 @@ MIN_LABELLED_PERCENT = 9.0
 
 
 def share_sooner(pair: Comparison) -> Estimate:
-    """The share of decided trials that the planner won, in percent with Wilson's interval."""
+    """The share of decided trials that the planner won, in percent with its interval."""
+    if pair.by_home is not None:
+        return pair.by_home.share_sooner
     return share(pair.wins, pair.wins + pair.losses)
 
 
@@ -45,8 +48,8 @@ def share(count: int, trials: int) -> Estimate:
 
 def sign_test(pair: Comparison) -> float:
     """The two-sided p value of the exact sign test that both win equally often; NaN where nobody won."""
-    decided = pair.wins + pair.losses
-    return float(binomtest(pair.wins, decided).pvalue) if decided else np.nan
+    won, lost = (pair.wins, pair.losses) if pair.by_home is None else (pair.by_home.won, pair.by_home.lost)
+    return float(binomtest(won, won + lost).pvalue) if won + lost else np.nan
 
 
 def p_value_text(value: float) -> str:

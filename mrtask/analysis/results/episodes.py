@@ -12,6 +12,8 @@ import pandas as pd
 from mrtask.homes.home import SIZE_CLASSES
 
 REQUIRED_COLUMNS = ("trial_id", "size_class", "robots", "planner", "status", "cost_s", "cost_cells")
+BUDGET = "sample_budget"
+"""Optional column: the samples per decision that a planner may draw; NaN for a planner that draws none."""
 STATUSES = ("accepted", "failed", "error", "timeout")
 """``failed``: the task could not be done; ``error``: an exception; ``timeout``: the episode took too long."""
 

@@ -16,8 +16,10 @@ from mrtask.analysis.results.statistics import (
     Cell,
     Estimate,
     PairedCosts,
+    homes_of,
+    number_homes,
 )
-from mrtask.arrays import Floats
+from mrtask.arrays import Floats, Ints
 from mrtask.bounds.lower_bound import BoundKind
 
 
@@ -51,7 +53,9 @@ def summarise_optimality(rows: pd.DataFrame) -> list[CellOptimality]:
 
 
 def _summarise_cell(cell: Cell, planner: str, rows: pd.DataFrame) -> CellOptimality:
-    costs = PairedCosts(rows.loc[rows["cost_s"].notna(), ["cost_s", "bound_s", "clairvoyant_s"]])
+    done = rows[rows["cost_s"].notna()]
+    homes = homes_of(done)
+    costs = PairedCosts(done.set_index("trial_id")[["cost_s", "bound_s", "clairvoyant_s"]], homes)
     return CellOptimality(
         cell=cell,
         planner=planner,
@@ -59,21 +63,29 @@ def _summarise_cell(cell: Cell, planner: str, rows: pd.DataFrame) -> CellOptimal
         bound_s=costs.mean("bound_s"),
         clairvoyant_s=costs.mean("clairvoyant_s"),
         gap_percent=costs.above("cost_s", "bound_s"),
-        median_gap_percent=_median(100 * (costs.costs["cost_s"] / costs.costs["bound_s"] - 1).to_numpy()),
+        median_gap_percent=_median(
+            100 * (done["cost_s"] / done["bound_s"] - 1).to_numpy(), number_homes(homes.tolist())
+        ),
         exact_share=float((rows["kind"] == BoundKind.EXACT.value).mean()),
         bound_seconds=float(rows["bound_seconds"].mean()),
         failed=int(rows["failed"].sum()),
     )
 
 
-def _median(values: Floats) -> Estimate:
-    """Return the median of [N] trials with its percentile interval."""
-    n = len(values)
+def _median(values: Floats, home_of: Ints) -> Estimate:
+    """Return the median of [N] trials with its percentile interval; see `Bootstrap` for what is resampled."""
+    n, homes = len(values), int(home_of.max(initial=-1)) + 1
     if n == 0:
         return UNDEFINED
     middle = float(np.median(values))
-    if n < MIN_TRIALS_FOR_INTERVAL:
-        return Estimate(middle, np.nan, np.nan, n)
-    options = {"n_resamples": RESAMPLES, "confidence_level": CONFIDENCE, "method": "percentile"}
-    interval = stats.bootstrap((values,), np.median, rng=np.random.default_rng(SEED), **options).confidence_interval
-    return Estimate(middle, float(interval.low), float(interval.high), n)
+    groups = [values[home_of == home] for home in range(homes)] if homes > 1 else values[:, None]
+    if len(groups) < MIN_TRIALS_FOR_INTERVAL:
+        return Estimate(middle, np.nan, np.nan, n, homes)
+
+    def median(drawn: Ints) -> float:
+        return float(np.median(np.concatenate([groups[number] for number in drawn])))
+
+    options = {"n_resamples": RESAMPLES, "confidence_level": CONFIDENCE, "method": "percentile", "vectorized": False}
+    numbers, rng = np.arange(len(groups)), np.random.default_rng(SEED)
+    interval = stats.bootstrap((numbers,), median, rng=rng, **options).confidence_interval
+    return Estimate(middle, float(interval.low), float(interval.high), n, homes)

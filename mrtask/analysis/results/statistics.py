@@ -1,12 +1,14 @@
 """Statistics of the episodes with their uncertainty: mean costs, paired improvements, shares of a gap closed.
 
-Planners ran the same trials, so everything is resampled trial by trial, all planners together (paired bootstrap; Efron
-and Tibshirani, *An Introduction to the Bootstrap*, ch. 14: bias-corrected and accelerated intervals). Every statistic
-here is a function of the planners' mean costs. This makes the resampling a matrix product and the acceleration's
-jackknife a closed form, so that 100,000 episodes take seconds.
+Planners ran the same trials, so everything is resampled together for all planners (paired bootstrap; Efron and
+Tibshirani, *An Introduction to the Bootstrap*, ch. 14: bias-corrected and accelerated intervals). Trials in one home
+resemble each other, so homes are resampled, each with all of its trials (a cluster bootstrap; Davison and Hinkley,
+*Bootstrap Methods and their Application*, sec. 3.8); where no home repeats, this resamples trials. Every statistic here
+is a function of the planners' mean costs. This makes the resampling a matrix product and the acceleration's jackknife a
+closed form, so that 100,000 episodes take seconds.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from mrtask.analysis.results.episodes import STATUSES, size_classes_in_order
 from mrtask.analysis.results.roles import INFORMED_BASELINE, KNOWN, REFERENCES
-from mrtask.arrays import Floats
+from mrtask.arrays import Bools, Floats, Ints
 from mrtask.names import counted
 from mrtask.planning.planners import planners_in_order
 
@@ -27,7 +29,7 @@ SIGNIFICANT_P = 0.05
 SEED = 20603
 """The seed of the resampling. Every estimate starts from it, so none depends on which others are computed."""
 MIN_TRIALS_FOR_INTERVAL = 10
-"""Fewer trials say too little about their spread; the interval would be far too narrow."""
+"""Fewer trials, or homes where they repeat, say too little about their spread; the interval would be far too narrow."""
 MAX_BATCH_CELLS = 4_000_000
 MAX_EXACT_TRIALS = 13
 """Up to this many trials, the test enumerates the signs of all differences; beyond that, it is SciPy's."""
@@ -47,15 +49,18 @@ EVERYTHING: Cell = (ALL_CLASSES, ALL_TEAMS)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value from ``n`` trials with its 95 % interval, or NaN if it is not defined.
+    """A value from ``n`` trials in ``homes`` homes with its 95 % interval, or NaN if it is not defined.
 
-    Below `MIN_TRIALS_FOR_INTERVAL` trials, it has no interval.
+    It has no interval below `MIN_TRIALS_FOR_INTERVAL` trials, or below as many homes where there are several. In a
+    single home, the interval is about that home's trials and says nothing of other homes.
     """
 
     value: float
     low: float
     high: float
     n: int
+    homes: int = 0
+    """The homes of the trials; a trial whose home is not known counts as one of its own. 0 where none were counted."""
 
     @property
     def defined(self) -> bool:
@@ -73,24 +78,45 @@ UNDEFINED = Estimate(np.nan, np.nan, np.nan, 0)
 
 
 @dataclass(frozen=True)
+class ByHome:
+    """How often a planner is sooner than another, where homes repeat."""
+
+    share_sooner: Estimate
+    """The share of the trials that one of the two won that it won, in percent; homes are resampled."""
+    won: int
+    """The number of homes in which it was sooner more often than later."""
+    lost: int
+    """The number of homes in which it was later more often than sooner."""
+
+
+@dataclass(frozen=True)
 class Comparison:
     """A planner against a baseline on the trials that both finished."""
 
     improvement: Estimate
     """``1 - mean(planner) / mean(baseline)``, in percent: positive is better."""
+    median_percent: float
+    """The median over the trials of what each saves of the baseline's cost, in percent; NaN without pairs."""
     wins: int
     ties: int
     losses: int
     p_value: float
     """The p-value of Wilcoxon's signed-rank test that the paired costs differ; NaN below two pairs.
 
-    Equal pairs take part: their ranks are split evenly between both signs (SciPy's ``zsplit``).
+    Where homes repeat, a pair is a home, with its mean costs. Equal pairs take part: their ranks are split evenly
+    between both signs (SciPy's ``zsplit``).
     """
     p_value_without_ties: float
     """The p-value of the usual form of the test, which leaves equal pairs out; 1 where all are equal."""
     only_planner: int
     only_baseline: int
     """The number of trials that only this one of the two finished; they are outside the comparison."""
+    by_home: ByHome | None = None
+    """None where no home repeats."""
+
+    def percent_of_pairs(self, count: int) -> float:
+        """Return a number of trials in percent of those that both finished."""
+        return 100 * count / self.improvement.n
 
     @property
     def ties_decide(self) -> bool:
@@ -167,23 +193,37 @@ def cell_name(cell: Cell) -> str:
 class Bootstrap:
     """Paired resamples of ``costs`` [N, P]: N trials, P planners, all finite.
 
-    The same draw serves every statistic of the same trials.
+    The same draw serves every statistic of the same trials. What is drawn are groups of trials: the homes, or single
+    trials where all are in one home.
+
+    Args:
+        homes: [N] the home of each trial. With None, every trial has its own.
     """
 
-    def __init__(self, costs: Floats, resamples: int = RESAMPLES, seed: int = SEED) -> None:
+    def __init__(
+        self, costs: Floats, homes: Iterable[Hashable] | None = None, resamples: int = RESAMPLES, seed: int = SEED
+    ) -> None:
         self.costs, self.resamples, self.seed = costs, resamples, seed
+        home_of = number_homes(range(len(costs)) if homes is None else homes)
+        self.homes = int(home_of.max(initial=-1)) + 1
+        group_of = home_of if self.homes > 1 else np.arange(len(costs))
+        self._sizes = np.bincount(group_of).astype(np.float64)
+        """[G] the trials of each group."""
+        self._sums = np.zeros((len(self._sizes), costs.shape[1]))
+        """[G, P] each group's summed costs."""
+        np.add.at(self._sums, group_of, costs)
 
     @cached_property
     def _resampled_means(self) -> Floats:
         """Return the mean costs [B, P] of the resamples."""
-        n, rng = len(self.costs), np.random.default_rng(self.seed)
+        n, rng = len(self._sizes), np.random.default_rng(self.seed)
         means = np.empty((self.resamples, self.costs.shape[1]))
         batch = max(1, MAX_BATCH_CELLS // n)
         for first in range(0, self.resamples, batch):
             rows = min(batch, self.resamples - first)
             drawn = rng.integers(n, size=(rows, n)) + n * np.arange(rows)[:, None]
-            times = np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n)
-            means[first : first + rows] = times.astype(np.float64) @ self.costs / n
+            times = np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n).astype(np.float64)
+            means[first : first + rows] = times @ self._sums / (times @ self._sizes)[:, None]
         return means
 
     def resampled(self, statistic: Callable[[Floats], Floats], columns: Sequence[int]) -> Floats:
@@ -199,33 +239,40 @@ class Bootstrap:
             columns: the K planners whose means it takes; all by default.
         """
         n, taken = len(self.costs), slice(None) if columns is None else list(columns)
-        nothing = Estimate(np.nan, np.nan, np.nan, n)
+        nothing = Estimate(np.nan, np.nan, np.nan, n, self.homes)
         if n == 0:
             return nothing
-        costs = self.costs[:, taken]
-        means = costs.mean(axis=0)
+        means = self.costs[:, taken].mean(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = float(statistic(means))
             if not np.isfinite(value):
                 return nothing
-            if n < MIN_TRIALS_FOR_INTERVAL:
-                return Estimate(value, np.nan, np.nan, n)
+            if len(self._sizes) < MIN_TRIALS_FOR_INTERVAL:
+                return Estimate(value, np.nan, np.nan, n, self.homes)
             resampled = statistic(self._resampled_means[:, taken])
-            left_out = statistic((n * means - costs) / (n - 1))
+            left_out = statistic((n * means - self._sums[:, taken]) / (n - self._sizes)[:, None])
         if not np.isfinite(resampled).all():
-            return Estimate(value, np.nan, np.nan, n)
+            return Estimate(value, np.nan, np.nan, n, self.homes)
         low, high = np.quantile(resampled, _bca_levels(value, resampled, left_out))
-        return Estimate(value, float(low), float(high), n)
+        return Estimate(value, float(low), float(high), n, self.homes)
+
+
+def number_homes(homes: Iterable[Hashable]) -> Ints:
+    """Return [N] the number of each trial's home, in the order in which they first appear."""
+    return np.asarray(pd.factorize(np.asarray(list(homes), dtype=object))[0], dtype=np.int64)
 
 
 class PairedCosts:
     """The costs of trials (rows) by planner (columns), NaN if a trial was not finished.
 
     Each estimate uses the trials that all of its planners finished.
+
+    Args:
+        homes: the home of each trial, from `homes_of`; of these trials or of more.
     """
 
-    def __init__(self, costs: pd.DataFrame, seed: int = SEED) -> None:
-        self.costs, self.seed = costs, seed
+    def __init__(self, costs: pd.DataFrame, homes: pd.Series, seed: int = SEED) -> None:
+        self.costs, self.homes, self.seed = costs, homes.loc[costs.index], seed
         self._draws: dict[bytes, Bootstrap] = {}
 
     def estimate(self, statistic: Callable[[Floats], Floats], planners: Sequence[object]) -> Estimate:
@@ -235,7 +282,8 @@ class PairedCosts:
         costs = self.costs.to_numpy(dtype=np.float64)
         finished = np.isfinite(costs[:, places]).all(axis=1)
         if (key := finished.tobytes()) not in self._draws:
-            self._draws[key] = Bootstrap(np.nan_to_num(costs[finished]), seed=self.seed)
+            homes = self.homes.to_numpy()[finished]
+            self._draws[key] = Bootstrap(np.nan_to_num(costs[finished]), homes, seed=self.seed)
         return self._draws[key].estimate(statistic, places)
 
     def mean(self, planner: object) -> Estimate:
@@ -265,12 +313,12 @@ def _bca_levels(value: float, resampled: Floats, left_out: Floats) -> Floats:
     return np.asarray(ndtr(bias + z / (1 - acceleration * z)), dtype=np.float64)
 
 
-def improvement_percent(cost: Floats, baseline: Floats) -> Estimate:
-    """Return ``1 - mean(cost) / mean(baseline)`` of paired costs [N], in percent.
+def improvement_percent(cost: Floats, baseline: Floats, homes: Iterable[Hashable] | None = None) -> Estimate:
+    """Return ``1 - mean(cost) / mean(baseline)`` of paired costs [N] in homes [N], in percent.
 
     It is undefined if the baseline's mean is 0.
     """
-    return Bootstrap(np.column_stack([cost, baseline])).estimate(improvement_of_means)
+    return Bootstrap(np.column_stack([cost, baseline]), homes).estimate(improvement_of_means)
 
 
 def improvement_of_means(means: Floats) -> Floats:
@@ -287,25 +335,53 @@ def _gap_closed(means: Floats) -> Floats:
     return np.asarray(np.where(gap > 0, 100 * (means[..., 1] - means[..., 0]) / gap, np.nan))
 
 
-def compare(cost: Floats, baseline: Floats, improvement: Estimate | None = None) -> Comparison:
-    """Compare paired costs [N]; NaN marks a trial that was not finished.
+def compare(
+    cost: Floats, baseline: Floats, homes: Iterable[Hashable] | None = None, improvement: Estimate | None = None
+) -> Comparison:
+    """Compare paired costs [N] in homes [N]; NaN marks a trial that was not finished.
 
     Args:
+        homes: the home of each trial. With None, every trial has its own.
         improvement: the estimate on the trials that both finished, if the caller has it already.
     """
     done, base_done = np.isfinite(cost), np.isfinite(baseline)
     both = done & base_done
+    home_of = number_homes(np.asarray(range(len(cost)) if homes is None else list(homes), dtype=object)[both])
     saved = baseline[both] - cost[both]
+    sooner, later = saved > SAME_COST_S, saved < -SAME_COST_S
+    repeated = 1 < home_of.max(initial=-1) + 1 < len(home_of)
+    tested = np.bincount(home_of, saved) / np.bincount(home_of) if repeated else saved
     return Comparison(
-        improvement=improvement or improvement_percent(cost[both], baseline[both]),
-        wins=int((saved > SAME_COST_S).sum()),
-        ties=int((np.abs(saved) <= SAME_COST_S).sum()),
-        losses=int((saved < -SAME_COST_S).sum()),
-        p_value=_wilcoxon(saved),
-        p_value_without_ties=_wilcoxon(saved, ties=False),
+        improvement=improvement or improvement_percent(cost[both], baseline[both], home_of),
+        median_percent=_median_percent(saved, baseline[both]),
+        wins=int(sooner.sum()),
+        ties=int((~sooner & ~later).sum()),
+        losses=int(later.sum()),
+        p_value=_wilcoxon(tested),
+        p_value_without_ties=_wilcoxon(tested, ties=False),
         only_planner=int((done & ~base_done).sum()),
         only_baseline=int((base_done & ~done).sum()),
+        by_home=_by_home(sooner, later, home_of) if repeated else None,
     )
+
+
+def _by_home(sooner: Bools, later: Bools, home_of: Ints) -> ByHome:
+    balance = np.bincount(home_of, sooner.astype(np.float64) - later)
+    decided = sooner | later
+    share = Bootstrap(np.column_stack([sooner, decided])[decided].astype(np.float64), home_of[decided])
+    return ByHome(
+        share_sooner=share.estimate(lambda means: np.asarray(100 * means[..., 0] / means[..., 1])),
+        won=int((balance > 0).sum()),
+        lost=int((balance < 0).sum()),
+    )
+
+
+def _median_percent(saved: Floats, baseline: Floats) -> float:
+    """Return the median of ``saved / baseline`` in percent; where both cost nothing, nothing is saved."""
+    if not len(saved):
+        return float("nan")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.median(np.where(np.abs(saved) <= SAME_COST_S, 0.0, 100 * saved / baseline)))
 
 
 def _wilcoxon(saved: Floats, ties: bool = True) -> float:
@@ -357,6 +433,18 @@ def paired_costs(episodes: pd.DataFrame, column: str = "cost_s") -> pd.DataFrame
     return episodes.pivot(index="trial_id", columns="planner", values=column)
 
 
+def homes_of(episodes: pd.DataFrame) -> pd.Series:
+    """Return each trial's home, by trial; a trial whose home is not recorded has one of its own."""
+    trials = episodes.drop_duplicates("trial_id").set_index("trial_id")
+    alone = pd.Series([f"of {trial}" for trial in trials.index], index=trials.index, dtype=object)
+    return trials["home_id"].astype(object).fillna(alone) if "home_id" in trials.columns else alone
+
+
+def home_repeats(homes: pd.Series) -> bool:
+    """Return whether these trials' homes are resampled as groups; not where all are different, or all the same."""
+    return 1 < homes.nunique() < len(homes)
+
+
 def decision_s(rows: pd.DataFrame) -> dict[str, float]:
     """Return each planner's mean planning time per decision, for planners for which it was recorded."""
     if not {"planning_s", "decisions"} <= set(rows.columns):
@@ -369,7 +457,8 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
     seconds = paired_costs(rows)
     planners = [name for name in summary.planners if name in seconds.columns]
     # Costs in grid cells stand beside those in seconds, so that one draw of trials serves both.
-    costs = PairedCosts(pd.concat([seconds, paired_costs(rows, "cost_cells").add_prefix(IN_CELLS)], axis=1))
+    both_units = pd.concat([seconds, paired_costs(rows, "cost_cells").add_prefix(IN_CELLS)], axis=1)
+    costs = PairedCosts(both_units, homes_of(rows))
     counts = rows.groupby(["planner", "status"]).size().to_dict()
     mean_s, each_decision_s = seconds.mean().to_dict(), decision_s(rows)
     for name in planners:
@@ -381,7 +470,7 @@ def _summarise_cell(summary: Summary, cell: Cell, rows: pd.DataFrame) -> None:
         )
         for other in REFERENCES:
             if other in planners and other != name:
-                pair = (seconds[name].to_numpy(), seconds[other].to_numpy())
+                pair = (seconds[name].to_numpy(), seconds[other].to_numpy(), costs.homes.to_numpy())
                 summary.comparisons[cell, name, other] = compare(*pair, costs.improvement(name, other))
         if {INFORMED_BASELINE, KNOWN} <= set(planners) - {name}:
             summary.gaps[cell, name] = costs.estimate(_gap_closed, [name, INFORMED_BASELINE, KNOWN])

@@ -37,6 +37,7 @@ from mrtask.analysis.results.statistics import (
     PairedCosts,
     Summary,
     cell_name,
+    homes_of,
     improvement_of_means,
     paired_costs,
     summarise,
@@ -60,7 +61,7 @@ OURS_NOTE = (
 SWITCHES_NOTE = (
     'Improvement of the paper\'s planner with "paper + x" minus that with "paper", and with "authors - x" minus that '
     'with "authors", in percentage points, with 95 % intervals. Arms that differ only in planners share their trials; '
-    "where homes, tasks or costs differ, trials are paired by number."
+    "where homes, tasks or costs differ, trials are paired by number and intervals resample the arm's homes."
 )
 WAITING_NOTE = (
     "Share of the episode's time, over accepted episodes; within a team the robot that waits least comes first in "
@@ -99,6 +100,11 @@ class ArmRows:
         """
         trials = self.rows.groupby("trial_id")[["size_class", "robots"]].first()
         return trials.join(paired_costs(self.rows).reindex(columns=list(COMPARED)))
+
+    @cached_property
+    def homes(self) -> pd.Series:
+        """Return the home of each trial."""
+        return homes_of(self.rows)
 
     def cost(self, planner: str, cell: Cell = EVERYTHING) -> pd.Series:
         """Return a planner's costs in seconds by trial, in one cell or in all."""
@@ -233,7 +239,7 @@ def switch_table(arms: Sequence[ArmRows]) -> Table | None:
         for cell in cells:
             # Pair by the trials' numbers, which arms share even if their trials differ.
             costs = [one.cost(name, cell) for one in pair for name in (PAPERS_PLANNER, baseline)]
-            paired = PairedCosts(pd.concat(costs, axis=1, join="inner", keys=range(4)))
+            paired = PairedCosts(pd.concat(costs, axis=1, join="inner", keys=range(4)), arm.homes)
             yield estimate_entry(paired.estimate(_difference, range(4)), unit="", sign="+", higher_is_better=True)
 
     rows = _rows_over(BASELINES, "Points of improvement over", switches, moved)
@@ -254,7 +260,8 @@ def step_table(steps: Sequence[ArmRows]) -> Table | None:
     chain = [*((arm.name, arm, PAPERS_PLANNER) for arm in steps), ours]
 
     def saved(after: tuple[str, ArmRows, str], before: tuple[str, ArmRows, str]) -> Iterable[Entry]:
-        return (_saved(after[1].cost(after[2], cell), before[1].cost(before[2], cell)) for cell in cells)
+        _, arm, planner = after
+        return (_saved(arm.cost(planner, cell), before[1].cost(before[2], cell), arm.homes) for cell in cells)
 
     title = f"Saved against the step before, with 95 % paired intervals ({PAPERS_PLANNER}, last {OUR_PLANNER})"
     rows = block(title, ((after[0], saved(after, before)) for before, after in pairwise(chain)))
@@ -271,7 +278,7 @@ def template_table(arms: Sequence[ArmRows]) -> Table | None:
         for arm in arms:
             cost, baseline = arm.cost(planner), arm.cost(INFORMED_BASELINE)
             template_of = arm.rows.groupby("trial_id")["template"].first().loc[cost.index]
-            lines.append((arm.name, [_saved(cost[template_of == name], baseline) for name in templates]))
+            lines.append((arm.name, [_saved(cost[template_of == name], baseline, arm.homes) for name in templates]))
         rows += block(f"Improvement of {planner} over {INFORMED_BASELINE}", lines)
     return Table(tuple(("", name) for name in templates), tuple(rows)) if templates else None
 
@@ -295,10 +302,10 @@ def _waiting_heading(index: int, robots: int) -> str:
     return "waits least" if index == 0 else "waits most" if index == robots - 1 else f"{index + 1}."
 
 
-def _saved(after: pd.Series, before: pd.Series) -> Entry:
-    """Return what ``after`` saves on the trials that both finished."""
+def _saved(after: pd.Series, before: pd.Series, homes: pd.Series) -> Entry:
+    """Return what ``after`` saves on the trials that both finished, in these homes."""
     pair = pd.concat([after, before], axis=1, join="inner", keys=["after", "before"])
-    return saved_entry(PairedCosts(pair).improvement("after", "before"))
+    return saved_entry(PairedCosts(pair, homes).improvement("after", "before"))
 
 
 def _counts(arm: ArmRows, published: Published, planner: str, baselines: Sequence[str]) -> tuple[int, int, int]:

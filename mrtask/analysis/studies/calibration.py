@@ -1,7 +1,8 @@
-"""Measure how true a team's beliefs were at the beginning of its tasks: log loss, Brier score and calibration.
+"""Measure how true beliefs are: a team's at the beginning of its tasks, and a model's likelihoods in homes.
 
-A planner acts on the probability that a container holds an object of the task, given that the object is in the home, as
-every task's object is. This probability is judged. The unit is one pair of container and object.
+The measures are log loss, Brier score and calibration. A planner acts on the probability that a container holds an
+object of the task, given that the object is in the home, as every task's object is. For a team, this probability is
+judged. The unit is one pair of container and object.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,14 +13,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mrtask.analysis.results.statistics import Bootstrap, Estimate
+from mrtask.arrays import Floats
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import Sighting, sightings_of
 from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.metrics import evaluate, reliability
+from mrtask.likelihood.table import LikelihoodTable
 
 LOSSES = ("log_loss", "brier")
 """These losses are per pair, so that their means have intervals. The calibration error is over all pairs together."""
+ALL_OBJECTS, EXISTING = "all objects", "objects in the home, given that they are there"
+"""The likelihoods as predicted; and those that planners act on, of objects in the home, given that they are there."""
+PROB_EDGES = (0.0, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+"""The bins of `reliability_in_homes`: narrow where nearly all probabilities are, and wide where few decide a search."""
 
 
 @dataclass(frozen=True)
@@ -102,3 +109,34 @@ def _with_losses(beliefs: pd.DataFrame) -> pd.DataFrame:
 def _mean(pairs: pd.DataFrame, name: str, home_of: Mapping[str, str]) -> Estimate:
     sums = pairs.groupby(pairs["trial_id"].map(home_of))[name].agg(["sum", "count"]).to_numpy(dtype=np.float64)
     return Bootstrap(sums).estimate(lambda means: np.asarray(means[..., 0] / means[..., 1]))
+
+
+def reliability_in_homes(homes: Sequence[Home], table: LikelihoodTable) -> pd.DataFrame:
+    """Return how often pairs of container and object were true, by probability, in homes with known contents.
+
+    The columns are ``belief`` (`ALL_OBJECTS` or `EXISTING`), ``mean_prob, frequency, low, high, pairs`` of each of the
+    bins of `PROB_EDGES` that is not empty. The intervals of the frequencies resample homes.
+    """
+    counts = np.array([_bin_counts(home, table) for home in homes])  # [H, 2, bins, 3]
+    records = []
+    for belief, of_belief in zip((ALL_OBJECTS, EXISTING), np.moveaxis(counts, 1, 0), strict=True):
+        for bin_ in np.moveaxis(of_belief, 1, 0):  # [H, 3]
+            prob, _, pairs = bin_.sum(axis=0)
+            if pairs:
+                some = bin_[bin_[:, 2] > 0]
+                share = Bootstrap(some[:, 1:]).estimate(lambda means: np.asarray(means[..., 0] / means[..., 1]))
+                records.append((belief, prob / pairs, share.value, share.low, share.high, int(pairs)))
+    return pd.DataFrame(records, columns=["belief", "mean_prob", "frequency", "low", "high", "pairs"])
+
+
+def _bin_counts(home: Home, table: LikelihoodTable) -> Floats:
+    """Return a home's summed probabilities, true pairs and pairs [2, bins, 3] of all objects and of existing ones."""
+    probs = table.matrix(home, table.objects)
+    held = np.array([[name in container.objects for name in table.objects] for container in home.containers])
+    there = held.any(axis=0)
+    counted = []
+    for prob, true in ((probs, held), (given_existence(probs[:, there]), held[:, there])):
+        which = np.clip(np.digitize(prob.ravel(), PROB_EDGES) - 1, 0, len(PROB_EDGES) - 2)
+        columns = (prob.ravel(), true.ravel().astype(np.float64), np.ones(prob.size))
+        counted.append([np.bincount(which, column, len(PROB_EDGES) - 1) for column in columns])
+    return np.moveaxis(np.array(counted), 1, 2)

@@ -14,7 +14,7 @@ from mrtask.analysis.page.style import BLACK, house_style, planner_label, planne
 from mrtask.analysis.page.tables import Row, Table, block, estimate_entry, saved_entry
 from mrtask.analysis.results.episodes import checked_episodes, size_classes_in_order
 from mrtask.analysis.results.roles import BASELINES, OUR_PLANNER
-from mrtask.analysis.results.statistics import Estimate, PairedCosts, paired_costs
+from mrtask.analysis.results.statistics import Estimate, PairedCosts, homes_of, paired_costs
 
 COMPARED = (*BASELINES, OUR_PLANNER)
 """The planners that every point contains."""
@@ -54,7 +54,8 @@ class Point:
 
     def _costs(self, size_class: str | None) -> PairedCosts:
         rows = self._rows if size_class is None else self._rows[self._rows["size_class"] == size_class]
-        return PairedCosts(paired_costs(rows, "cost_cells").reindex(columns=list(COMPARED)).dropna())
+        costs = paired_costs(rows, "cost_cells").reindex(columns=list(COMPARED)).dropna()
+        return PairedCosts(costs, homes_of(rows))
 
 
 @dataclass(frozen=True)

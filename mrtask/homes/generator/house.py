@@ -46,6 +46,7 @@ OPENING = "opening"
 EXTRA_JOINT_SHARE = 0.05
 """The share of neighbouring pairs of rooms that are joined although a way between them exists already."""
 FURNISHINGS_TRIED = 8
+HOUSES_TRIED = 20
 
 House = dict[str, Any]
 
@@ -67,27 +68,20 @@ def generate_house(seed: int, size_class: str | None = None, rooms: int | None =
     """Generate a house JSON of schema 1.0.0 with object ids ``Type|room|n``.
 
     ``size_class`` is ``small``, ``medium`` or ``large`` (default: drawn evenly, or according to ``rooms``). ``rooms``
-    is 1 to 10 (default: as in ProcTHOR's homes of that class). Raises `ValueError` for other values.
+    is 1 to 10 (default: as in ProcTHOR's homes of that class). A house into which no container fits is drawn again.
+    Raises `ValueError` for other values.
     """
     if size_class is not None and size_class not in SIZE_CLASSES:
         raise ValueError(f"size_class '{size_class}' is unknown; allowed: {', '.join(SIZE_CLASSES)}")
     if rooms is not None and not 1 <= rooms <= MAX_ROOMS:
         raise ValueError(f"rooms = {rooms} is not allowed; choose 1 to {MAX_ROOMS}")
-    rng = np.random.default_rng([seed, SIZE_CLASSES.index(size_class) + 1 if size_class else 0, rooms or 0])
-    catalogue = load_catalogue()
-    spec_id, specs, area_m2 = _draw_spec(catalogue, size_class, rooms, rng)
-    types = [spec["type"] for spec in specs]
-    plan = make_floor_plan([spec["area_share"] for spec in specs], area_m2, rng)
-    doors, open_walls = _join_rooms(plan, types, catalogue, rng)
-    return {
-        "rooms": [_room_json(plan, room, kind) for room, kind in enumerate(types)],
-        "doors": [_door_json(door, number) for number, door in enumerate(doors)],
-        "windows": [],
-        "walls": [entry for wall in plan.walls for entry in _wall_json(wall, wall in open_walls)],
-        "objects": _furnish(plan, types, doors, open_walls, catalogue, rng),
-        "proceduralParameters": {"lights": [], "reflections": [], "skyboxId": "Sky1"},
-        "metadata": {"schema": SCHEMA, "roomSpecId": spec_id, "seed": seed},
-    }
+    key = [seed, SIZE_CLASSES.index(size_class) + 1 if size_class else 0, rooms or 0]
+    for attempt in range(HOUSES_TRIED):
+        house = _draw_house(seed, size_class, rooms, np.random.default_rng([*key, attempt] if attempt else key))
+        if house is not None:
+            return house
+    of = f" of {rooms} rooms" if rooms else ""
+    raise ValueError(f"no container fitted into {HOUSES_TRIED} homes{of}; ask for a larger size class or fewer rooms")
 
 
 def write_houses(path: Path, houses: Iterable[House]) -> int:
@@ -103,6 +97,27 @@ def write_houses(path: Path, houses: Iterable[House]) -> int:
             packed.write(json.dumps(house, separators=(",", ":")).encode() + b"\n")
             count += 1
     return count
+
+
+def _draw_house(seed: int, size_class: str | None, rooms: int | None, rng: np.random.Generator) -> House | None:
+    """Return a house, or None where no container fits into it."""
+    catalogue = load_catalogue()
+    spec_id, specs, area_m2 = _draw_spec(catalogue, size_class, rooms, rng)
+    types = [spec["type"] for spec in specs]
+    plan = make_floor_plan([spec["area_share"] for spec in specs], area_m2, rng)
+    doors, open_walls = _join_rooms(plan, types, catalogue, rng)
+    objects = _furnish(plan, types, doors, open_walls, catalogue, rng)
+    if objects is None:
+        return None
+    return {
+        "rooms": [_room_json(plan, room, kind) for room, kind in enumerate(types)],
+        "doors": [_door_json(door, number) for number, door in enumerate(doors)],
+        "windows": [],
+        "walls": [entry for wall in plan.walls for entry in _wall_json(wall, wall in open_walls)],
+        "objects": objects,
+        "proceduralParameters": {"lights": [], "reflections": [], "skyboxId": "Sky1"},
+        "metadata": {"schema": SCHEMA, "roomSpecId": spec_id, "seed": seed},
+    }
 
 
 def _draw_spec(
@@ -179,7 +194,9 @@ def _joint_counts(catalogue: Catalogue, first: str, second: str) -> dict[str, in
 
 
 def _place_door(wall: Wall, kind: str, width_m: float, rng: np.random.Generator) -> _Door:
-    low_m = round(float(rng.uniform(DOOR_MARGIN_M, wall.length_m - DOOR_MARGIN_M - width_m)), 3)
+    # On a wall that is just long enough, rounding could put the highest place below the lowest.
+    highest_m = max(wall.length_m - DOOR_MARGIN_M - width_m, DOOR_MARGIN_M)
+    low_m = round(float(rng.uniform(DOOR_MARGIN_M, highest_m)), 3)
     return _Door(wall, f"{kind}_1", low_m, low_m + width_m)
 
 
@@ -204,10 +221,10 @@ def _furnish(
     open_walls: frozenset[Wall],
     catalogue: Catalogue,
     rng: np.random.Generator,
-) -> list[dict[str, Any]]:
+) -> list[dict[str, Any]] | None:
     """Return the objects of all rooms.
 
-    In the rare case that no object is a container, they are drawn again, a few times.
+    In the rare case that no object is a container, they are drawn again, a few times; None if that does not help.
     """
     openings: list[list[Segment]] = [[] for _ in types]
     for room in range(len(types)):
@@ -222,9 +239,7 @@ def _furnish(
             objects += _object_json(pieces, room + FIRST_ROOM_NUMBER, kind, catalogue, rng)
         if has_container:
             return objects
-    raise ValueError(
-        f"no container fits into this home of {len(types)} rooms; ask for a larger size class or fewer rooms"
-    )
+    return None
 
 
 def _object_json(

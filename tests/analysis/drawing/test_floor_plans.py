@@ -1,3 +1,6 @@
+from dataclasses import replace
+from pathlib import Path
+
 import matplotlib
 
 matplotlib.use("Agg")
@@ -8,9 +11,18 @@ import pytest
 import shapely
 from matplotlib.colors import to_rgb
 
-from mrtask.analysis.drawing.floor_plans import FULL_COLOR, ROOM_COLORS, draw_gallery, draw_home, passages
+from mrtask.analysis.drawing.floor_plans import (
+    FULL_COLOR,
+    ROOM_COLORS,
+    SCANNED,
+    draw_gallery,
+    draw_home,
+    draw_scan,
+    passages,
+)
 from mrtask.homes.home import Door, Home, Room
 from mrtask.maps.home_map import build_map
+from mrtask.maps.ros_map import CellKind, ScannedFloor
 
 
 @pytest.fixture
@@ -57,6 +69,25 @@ def test_names_counts_and_access_cells(ax, two_room_home, two_room_map):
     (dots,) = (collection for collection in ax.collections if len(collection.get_offsets()))
     expected = [two_room_map.cell_center(tuple(cell)) for cell in two_room_map.access]
     np.testing.assert_allclose(dots.get_offsets(), expected)
+
+
+def test_names_may_hold_dollar_signs(ax, two_room_home):
+    rooms = tuple(replace(room, type="$\\frac$") for room in two_room_home.rooms)
+    containers = tuple(replace(one, type="$_$") for one in two_room_home.containers)
+    draw_home(replace(two_room_home, rooms=rooms, containers=containers), None, ax)
+    ax.figure.canvas.draw()
+
+
+def test_a_scan_is_drawn_as_it_was_read(ax, two_room_home):
+    cells = np.zeros((45, 90), np.int64)
+    cells[5:40, 5:60], cells[5:40, 20:30], cells[5:40, 65:85] = CellKind.FLOOR, CellKind.UNKNOWN_AS_FLOOR, 3
+    warnings = ("two_room.yaml: it costs $5 or $6",)
+    scan = ScannedFloor(two_room_home, 20.0, warnings, Path("c.yaml"), cells, (0.0, 0.0), 0.1)
+    draw_scan(scan, ax)
+    for x, kind in ((1.0, CellKind.FLOOR), (2.5, CellKind.UNKNOWN_AS_FLOOR), (8.8, 0), (7.5, CellKind.LEFT_OUT)):
+        assert pixel(ax, x, 2.4) == pytest.approx(to_rgb(SCANNED[kind][0]), abs=0.02)
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == {text for _, text in SCANNED.values()}
+    assert scan.summary in ax.get_title(loc="left") and "warning: two_room.yaml" in ax.get_title(loc="left")
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg"])

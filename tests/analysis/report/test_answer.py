@@ -42,27 +42,34 @@ def test_verdict(factors, verdict):
 def test_words_of_a_planner_that_wins():
     costs = {"pouct": [3.0], "learned_myopic": [5.0], "known": [2.0], "greedy": [4.0]}
     _, text = findings_of(rows("medium", 2, {planner: 12 * cost for planner, cost in costs.items()}))
-    assert "Over 12 paired trials, pouct finishes its tasks 40.0 % sooner than learned_myopic" in text
+    assert "Over 12 paired trials, pouct's mean time is 40.0 % lower than learned_myopic's (95 %" in text
     assert "95 % interval 40.0 to 40.0" in text
     assert "better in 1 of 1 cell of size class and team size, clearly (the interval excludes zero) in 1." in text
     assert "of 1 published improvement for these cells, ours is above 1 (its whole interval in 1)" in text
     assert "on average 40.0 % against 17.5 % published" in text
-    assert "It finishes 25.0 % sooner than greedy" in text
+    assert "Its mean time is 25.0 % lower than greedy's" in text
     assert "Of what knowing all contents would save over learned_myopic, it saves 66.7 %" in text
     assert "Fewer than 30 paired trials in 1 of 1 cell (the fewest: 12 in medium, 2 robots)" in text
+
+
+def test_the_headline_says_what_the_mean_hides():
+    baseline = [10.0, 10.0, 10.0, 10.0, 100.0]
+    _, text = findings_of(rows("medium", 2, {"pouct": [10.0, 10.0, 9.0, 12.0, 20.0], "learned_myopic": baseline}))
+    assert "pouct's mean time is 56.4 % lower than learned_myopic's" in text
+    assert "the median saving is 0.0 %, 40 % are ties, and in 20 % it is later." in text
 
 
 def test_words_of_a_planner_that_loses():
     frame = rows("medium", 2, {"pouct": [6.0] * 10, "learned_myopic": [5.0] * 10})
     found, text = findings_of(frame)
     assert found.verdict == "No"
-    assert "20.0 % later than learned_myopic (improvement -20.0 %, 95 % interval -20.0 to -20.0)" in text
+    assert "20.0 % higher than learned_myopic's (improvement -20.0 %, 95 % interval -20.0 to -20.0)" in text
     assert "better in 0 of 1 cell" in text and "and clearly worse in 1." in text
 
 
 def test_words_of_equals():
     _, text = findings_of(rows("small", 1, {"pouct": [2.0, 3.0], "learned_myopic": [2.0, 3.0]}))
-    assert "finishes its tasks as fast as learned_myopic" in text
+    assert "mean time is equal to learned_myopic's" in text
 
 
 def test_no_episodes_and_none_finished():
@@ -90,7 +97,7 @@ def test_too_few_trials_show_nothing(count):
 def test_a_users_planner_is_measured_against_the_papers():
     frame = make_episodes(4, ["learned_myopic", "my_lab.planners.Mine"], ["small"])
     _, text = findings_of(frame, "my_lab.planners.Mine")
-    assert "Mine finishes its tasks" in text and "of 3 published improvements" in text
+    assert "Mine's mean time is" in text and "of 3 published improvements" in text
 
 
 def test_errors_and_timeouts_are_named():

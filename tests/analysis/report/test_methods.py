@@ -64,14 +64,14 @@ def test_the_paragraph_has_the_runs_numbers():
     frame = fail(frame, frame.index.to_series() == 0)
     sentences = methods_sentences(collect_report_data(frame, MANIFEST, {}))
     assert sentences[0] == (
-        "We ran 16 trials, 4 for each of 4 cells of home size (small and large) and team size (1 and 3), in 4 homes "
+        "We ran 16 trials, 4 for each of 4 cells of home size (small and large) and team size (1 and 3), in 16 homes "
         "(procthor)."
     )
     text = " ".join(sentences)
     for words in (
         "of the form and2.",
         "1 m/s; a search takes 0.5 s and an interaction 0 s",
-        "greedy and pouct (10,000 samples)",
+        "greedy and pouct (at most 10,000 samples)",
         "of kind similarity, version 3, trained on 500 other homes",
         "Of 32 episodes 31 finished",
         "The seed is 7;",

@@ -17,7 +17,14 @@ from mrtask.analysis.page.exhibits import Content
 from mrtask.analysis.report import report_page as library
 from mrtask.analysis.report import sections
 from mrtask.analysis.report.report_page import render_report, trials_to_draw, write_report
-from mrtask.analysis.report.run_facts import beats_frequency, failure_table, homes_facts, run_facts
+from mrtask.analysis.report.run_facts import (
+    beats_frequency,
+    failure_table,
+    homes_facts,
+    metric_table,
+    model_facts,
+    run_facts,
+)
 from mrtask.analysis.report.sections import Section
 from mrtask.analysis.report.trial_browser import notable_trials
 from mrtask.execution.trace import Leg, Letter, Trace
@@ -120,7 +127,7 @@ def test_whole_report(tmp_path, two_room_home):
     text = page.words
     assert "Does the planner pouct beat the baselines, by how much" in text
     assert re.search(
-        r"Yes\. Over 27 paired trials, pouct finishes its tasks \d+\.\d % sooner than learned_myopic", text
+        r"Yes\. Over 27 paired trials in 1 home, pouct's mean time is \d+\.\d % lower than learned_myopic's", text
     )
     assert "paper 215.22" in text and "paper 37.12 %" in text
     assert len(page.images) == 8 + 3
@@ -230,6 +237,23 @@ def test_sweep_is_compared(tmp_path, blank_pictures):
     assert list(table["sweep"].unique()) == ["planner.pouct.samples=100", "planner.pouct.samples=1000"]
     pouct = table[table["planner"] == "pouct"].groupby("sweep")["mean_cost_s"].sum()
     assert pouct.iloc[0] == pytest.approx(1.2 * pouct.iloc[1], rel=1e-5)
+
+
+def test_the_models_that_one_command_trained_stand_side_by_side():
+    metrics = [{"log_loss": loss, "roc_auc": 0.9, "ece": 0.01} for loss in (0.08, 0.09, 0.1)]
+    manifest = {
+        "model": {
+            "kind": "similarity", "version": "2", "metrics": metrics[0], "frequency_metrics": metrics[2],
+            "champion_version": "1",
+        },
+        "rivals": [{"kind": "paper_fcnn", "version": "3", "metrics": metrics[1]}],
+    }  # fmt: skip
+    table = metric_table(manifest)
+    assert [name for _, name in table.columns] == ["this model, similarity", "paper_fcnn, version 3", "frequency table"]
+    assert [entry.value for entry in table.rows[0].entries] == ["0.0800", "0.0900", "0.1000"]
+    assert [row.label.partition(" (")[0] for row in table.rows] == ["log loss", "ROC AUC", "expected calibration error"]
+    champion = dict(model_facts(manifest, small().head(1)))["champion"]
+    assert champion == "no, the champion was version 1; this run did not plan with it"
 
 
 @pytest.mark.parametrize(

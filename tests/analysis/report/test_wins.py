@@ -12,7 +12,7 @@ from tests.analysis.synthetic import rows
 
 
 def pair(wins: int, ties: int, losses: int) -> Comparison:
-    return Comparison(UNDEFINED, wins, ties, losses, np.nan, np.nan, 0, 0)
+    return Comparison(UNDEFINED, np.nan, wins, ties, losses, np.nan, np.nan, 0, 0)
 
 
 @pytest.mark.parametrize(("wins", "losses"), [(0, 1), (3, 3), (7, 2), (0, 9), (60, 40), (199, 101)])

@@ -4,6 +4,7 @@ import pytest
 
 from mrtask.analysis.report.cell_tables import optimality_table
 from mrtask.analysis.results.optimality import summarise_optimality
+from tests.analysis.synthetic import in_homes
 
 
 def make_rows(trials=12, robots=(1, 2)):
@@ -55,3 +56,13 @@ def test_the_table_says_cell_gap_and_interval():
     assert shown["median trial"].value == "10.0 %"
     assert shown["median trial"].details == ("[10.0, 17.5]",)
     assert shown["exact"].value == "50 %"
+
+
+def test_repeating_trials_in_their_homes_narrows_no_interval():
+    rows = make_rows(15, (1,))
+    rows["bound_s"] = rows["cost_s"] / np.random.default_rng(0).uniform(1.0, 1.5, len(rows))
+    (once,), (thrice,) = (summarise_optimality(each) for each in (rows, in_homes(rows, 3)))
+    for name in ("cost_s", "gap_percent", "median_gap_percent"):
+        one, other = getattr(once, name), getattr(thrice, name)
+        assert (other.low, other.high) == pytest.approx((one.low, one.high)) and one.low < one.high
+        assert (other.n, other.homes) == (3 * one.n, one.n)

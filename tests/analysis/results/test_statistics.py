@@ -15,7 +15,7 @@ from mrtask.analysis.results.statistics import (
     summarise,
 )
 from mrtask.planning.planners import planners_in_order
-from tests.analysis.synthetic import fail, make_episodes, naive_bca, rows
+from tests.analysis.synthetic import fail, in_homes, make_episodes, naive_bca, rows
 
 NAN = float("nan")
 SMALL_ONE = ("small", 1)
@@ -172,10 +172,81 @@ def test_shared_draws_change_nothing():
 
 
 def test_each_estimate_is_over_the_trials_that_its_planners_finished():
-    costs = PairedCosts(pd.DataFrame({"a": [1.0, 2.0, NAN], "b": [2.0, NAN, 6.0], "c": [4.0, 4.0, 4.0]}))
+    frame = pd.DataFrame({"a": [1.0, 2.0, NAN], "b": [2.0, NAN, 6.0], "c": [4.0, 4.0, 4.0]})
+    costs = PairedCosts(frame, pd.Series(["x", "y", "z"]))
     assert [costs.mean(name).value for name in "abc"] == [1.5, 4.0, 4.0]
     assert (costs.improvement("a", "b").value, costs.improvement("a", "b").n) == (50, 1)
     assert (costs.improvement("a", "c").value, costs.above("c", "b").value) == (62.5, 0)
+
+
+def intervals(estimate):
+    return (estimate.value, estimate.low, estimate.high)
+
+
+@pytest.mark.parametrize("homes", [11, 30])
+def test_homes_are_resampled_with_all_of_their_trials(homes):
+    """Homes of one to four trials, against a naive twin in exact fractions."""
+    sizes = 1 + np.arange(homes) % 4
+    cost, baseline = paired_costs(sizes.sum(), homes)
+    home_of = np.repeat(np.arange(homes), sizes)
+    mixed = np.random.default_rng(homes).permutation(len(home_of))
+    first = pd.unique(home_of[mixed])
+    estimate = Bootstrap(np.column_stack([cost, baseline])[mixed], home_of[mixed], resamples=300, seed=2).estimate(
+        library.improvement_of_means
+    )
+    groups = [np.flatnonzero(home_of == home) for home in first]
+    expected = naive_bca(cost.tolist(), baseline.tolist(), 300, 2, groups)
+    assert (estimate.low, estimate.high) == pytest.approx(expected)
+    assert (estimate.n, estimate.homes) == (sizes.sum(), homes)
+
+
+def test_repeating_trials_in_their_homes_narrows_no_interval():
+    frame = make_episodes(12, size_classes=["small", "large"], robots=[1, 2])
+    once, thrice = (summarise(checked_episodes(each)) for each in (frame, in_homes(frame, 3)))
+    for key, found in once.comparisons.items():
+        assert intervals(thrice.comparisons[key].improvement) == pytest.approx(intervals(found.improvement))
+        assert thrice.comparisons[key].p_value == pytest.approx(found.p_value)
+        assert thrice.comparisons[key].by_home.won == found.wins
+        assert thrice.comparisons[key].wins == 3 * found.wins
+    for key, gap in once.gaps.items():
+        assert intervals(thrice.gaps[key]) == pytest.approx(intervals(gap))
+    for key, cell in once.planner_cells.items():
+        assert intervals(thrice.planner_cells[key].cost_cells) == pytest.approx(intervals(cell.cost_cells))
+        assert (thrice.planner_cells[key].cost_cells.n, cell.cost_cells.homes) == (
+            3 * cell.cost_cells.n,
+            cell.cost_cells.n,
+        )
+
+
+def test_homes_that_do_not_repeat_change_nothing():
+    frame = make_episodes(15, size_classes=["small"], robots=[1])
+    one, other = (summarise(checked_episodes(each)) for each in (frame, frame.drop(columns="home_id")))
+    assert repr(one) == repr(other)
+    assert one.comparisons[SMALL_ONE, "pouct", "learned_myopic"].by_home is None
+
+
+def test_intervals_over_homes_cover_what_intervals_over_trials_miss():
+    covered = {"homes": 0, "trials": 0}
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        ratio = np.repeat(0.7 * rng.lognormal(0, 0.3, 25), 8)
+        baseline = rng.gamma(3, 10, 200)
+        costs = np.column_stack([baseline * ratio * rng.lognormal(0, 0.2, 200), baseline])
+        truth = 100 * (1 - 0.7 * np.exp((0.3**2 + 0.2**2) / 2))
+        for name, homes in (("homes", np.repeat(np.arange(25), 8)), ("trials", None)):
+            found = Bootstrap(costs, homes, resamples=400).estimate(library.improvement_of_means)
+            covered[name] += found.low <= truth <= found.high
+    assert covered["homes"] > 0.88 * 200
+    assert covered["trials"] < 0.8 * 200
+
+
+@pytest.mark.parametrize(("homes", "has_interval"), [(1, True), (2, False), (9, False), (10, True)])
+def test_few_homes_say_nothing_of_others_and_one_home_only_of_itself(homes, has_interval):
+    cost, baseline = paired_costs(60)
+    found = improvement_percent(cost, baseline, np.arange(60) % homes)
+    assert (found.has_interval, found.homes) == (has_interval, homes)
+    if homes == 1:
+        assert intervals(found) == intervals(improvement_percent(cost, baseline))
 
 
 def test_order_of_rows_does_not_matter():

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -6,6 +7,7 @@ import pytest
 
 from mrtask.analysis.results.published import load_published
 from mrtask.analysis.studies.ablation import COMPARED, WAITS, ArmRows, render_ablation, waiting_shares
+from tests.analysis.synthetic import in_homes
 
 
 def episodes(improvements, seed=0, trials=40, cells=(("small", 1), ("small", 2))):
@@ -41,8 +43,8 @@ def table_rows(page, heading):
     return {row.split("</th>")[0]: row.split("</th>")[1] for row in part.split("<tr><th>")[1:]}
 
 
-@pytest.fixture(scope="module")
-def page():
+def make_page(times=1):
+    """Each trial stands in the rows this many times, in the same home."""
     published = load_published().improvement_percent[("learned_myopic", ("small", 1))]
     paper = episodes({"pouct_paper": 0.0, "pouct": 30.0})
     same = episodes({"pouct_paper": published, "pouct": 30.0}, seed=1)
@@ -52,7 +54,22 @@ def page():
         ArmRows("step: text", paper, ("a=1",), in_detail=True, is_step=True),
         ArmRows("step: half", episodes({"pouct_paper": 15.0, "pouct": 30.0}), ("b=1",), in_detail=True, is_step=True),
     ]
-    return render_ablation(arms, "test")
+    return render_ablation([replace(arm, episodes=in_homes(arm.episodes, times)) for arm in arms], "test")
+
+
+@pytest.fixture(scope="module")
+def page():
+    return make_page()
+
+
+def test_repeating_trials_in_their_homes_narrows_no_interval(page):
+    again = make_page(times=3)
+    for heading in (
+        "Points of improvement over learned_myopic",
+        "Saved by pouct against each step",
+        "Improvement of pouct_paper over learned_myopic",
+    ):
+        assert table_rows(again, heading) == table_rows(page, heading), heading
 
 
 def test_waiting_is_what_is_left_of_the_episode():

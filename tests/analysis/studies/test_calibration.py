@@ -1,13 +1,25 @@
 """Whether beliefs are judged by what they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from mrtask.analysis.studies.calibration import Task, beliefs_of, calibration, change, searched_in
+from mrtask.analysis.studies.calibration import (
+    ALL_OBJECTS,
+    EXISTING,
+    Task,
+    beliefs_of,
+    calibration,
+    change,
+    reliability_in_homes,
+    searched_in,
+)
 from mrtask.execution.trace import Leg, Trace
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted
 from mrtask.likelihood.existence import given_existence
+from mrtask.likelihood.table import LikelihoodTable
 
 
 def test_each_task_begins_with_what_the_searches_before_it_showed(two_room_home):
@@ -65,3 +77,38 @@ def test_a_change_is_below_zero_where_the_belief_got_better_and_its_interval_is_
     alone = change(after, before, "log_loss", {trial: trial for trial in trials})
     wider = (found.high - found.low) / (alone.high - alone.low)
     assert wider == pytest.approx(np.sqrt(10), rel=0.25), "the ten of a home are all alike: they count as one"
+
+
+def test_reliability_in_homes_by_hand(two_room_home):
+    """Egg in the fridge, book and pillow on the bed; the model gives 0.35 to all of that, and 0.05 to the rest."""
+    kinds = tuple(sorted(set(two_room_home.container_kinds())))
+    probs = np.full((3, 4), 0.05)
+    table = LikelihoodTable(kinds, ("Book", "Egg", "Pillow", "Unicorn"), probs)
+    for container, kind in zip(two_room_home.containers, two_room_home.container_kinds(), strict=True):
+        for name in container.objects:
+            probs[kinds.index(kind), table.objects.index(name)] = 0.35
+    found = reliability_in_homes([two_room_home] * 2, table)
+    plain = found[found["belief"] == ALL_OBJECTS]
+    assert plain["mean_prob"].tolist() == pytest.approx([0.05, 0.35])
+    assert plain["frequency"].tolist() == [0.0, 1.0] and plain["pairs"].tolist() == [18, 6]
+    there = found[found["belief"] == EXISTING]
+    some = 1 - 0.65 * 0.95**2
+    assert there["mean_prob"].tolist() == pytest.approx([0.05 / some, 0.35 / some])
+    assert there["pairs"].tolist() == [12, 6], "the unicorn is in no home"
+    assert found["low"].isna().all(), "two homes have no interval"
+
+
+def test_intervals_of_reliability_are_over_homes(two_room_home):
+    kinds = tuple(sorted(set(two_room_home.container_kinds())))
+    rng = np.random.default_rng(0)
+    homes = []
+    for _ in range(40):
+        held = rng.random(3) < 0.5  # all three containers of a home are alike
+        objects = ("Egg",) if held[0] else ()
+        homes.append(
+            replace(two_room_home, containers=tuple(replace(c, objects=objects) for c in two_room_home.containers))
+        )
+    found = reliability_in_homes(homes, LikelihoodTable(kinds, ("Egg",), np.full((3, 1), 0.45)))
+    one = found[found["belief"] == ALL_OBJECTS].iloc[0]
+    half = 1.96 * np.sqrt(one["frequency"] * (1 - one["frequency"]) / 40)
+    assert (one["high"] - one["low"]) / 2 == pytest.approx(half, rel=0.15)

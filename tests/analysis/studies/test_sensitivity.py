@@ -13,6 +13,7 @@ from mrtask.analysis.studies.sensitivity import (
     findings,
     render_sensitivity,
 )
+from tests.analysis.synthetic import in_homes
 
 
 def episodes(saved_percent, trials=24, seed=0):
@@ -48,6 +49,13 @@ def test_a_point_compares_the_trials_that_all_planners_finished():
     assert found.low < found.value < found.high
     large = point.improvement("nonlearned_myopic", "large")
     assert large.n == 12 and large.value != found.value
+
+
+def test_repeating_trials_in_their_homes_narrows_no_interval():
+    once, thrice = (Point(1.0, frame) for frame in (episodes(25), in_homes(episodes(25), 3)))
+    for estimate in (lambda point: point.improvement("learned_myopic"), lambda point: point.cost("pouct")):
+        one, other = estimate(once), estimate(thrice)
+        assert (other.low, other.high) == pytest.approx((one.low, one.high)) and other.n == 3 * one.n
 
 
 def test_the_answer_says_where_the_planner_is_better_and_where_not(curves):

@@ -1,11 +1,13 @@
 """A formula as a person types it: in the shell, inside make's ARGS, in a file; and a task in words."""
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from mrtask.homes.home import Home
+from mrtask.tasks.formula import FormulaError
 from mrtask.tasks.words import WordsError
 from pipeline.app.main import _for_hydra
 from pipeline.base.config import UserError
@@ -45,6 +47,16 @@ def test_quotes_for_hydra_are_not_needed_and_do_no_harm(given: str) -> None:
     assert configured(f"evaluation.formula={given}").evaluation.formula == FORMULA
 
 
+@pytest.mark.parametrize(
+    "formula", ['F "c-clamp" & F Mug', '"c-clamp" U "b-c"', """F "child's cup" & F "a, b\"""", 'X "c-clamp"']
+)
+def test_names_in_quotes_pass_through_hydra(formula: str) -> None:
+    assert configured(f"evaluation.formula={formula}").evaluation.formula == formula
+    assert configured(f"evaluation.task={formula}").evaluation.task == formula
+    assert _for_hydra('evaluation.formula=F "a,b",F c') == """evaluation.formula='F "a,b"','F c'"""
+    assert _for_hydra('evaluation.formula="F a","F b"') == 'evaluation.formula="F a","F b"'
+
+
 def test_no_formula_and_other_keys_are_left_alone() -> None:
     assert configured("evaluation.formula=null").evaluation.formula is None
     assert _for_hydra("evaluation.formula_file=a,b") == "evaluation.formula_file=a,b"
@@ -78,7 +90,32 @@ def test_words_name_the_objects_of_the_homes(two_room_home: Home) -> None:
     with pytest.raises(WordsError, match="could mean different things"):
         check(configured("evaluation.task=egg and pillow or book").evaluation)
     assert task_of(configured().evaluation, [two_room_home]) == (None, ())
-    assert task_of(configured("evaluation.formula=F Unicorn").evaluation, [two_room_home]) == (
-        "F Unicorn",
-        ("Unicorn",),
-    )
+    assert task_of(configured("evaluation.formula=F Pillow").evaluation, [two_room_home]) == ("F Pillow", ("Pillow",))
+    with pytest.raises(FormulaError, match="unknown object 'Laptop'; allowed: Book, Egg, Pillow"):
+        task_of(configured("evaluation.formula=F Laptop").evaluation, [two_room_home])
+
+
+@pytest.mark.parametrize(
+    ("formula", "said"),
+    [
+        ("F Mugg", "unknown object 'Mugg', did you mean 'Mug'"),
+        ("F mug", "unknown object 'mug', did you mean 'Mug'"),
+        ("F Fridge", "unknown object 'Fridge'"),
+        ("FLaptop", "unknown object 'FLaptop', did you mean 'F Laptop'"),
+        ("F (Mug & !Mug)", "no order of interactions does this task"),
+        ("(!Mug U Laptop) & (!Laptop U Mug)", "no order of interactions does this task"),
+        ("true", "done before anything is done"),
+        ("Mug | !Mug", "done before anything is done"),
+    ],
+)
+def test_a_formula_that_is_no_task_is_refused_with_the_configuration(formula: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "task.ltl").write_text(formula)
+    for given in (f"evaluation.formula={formula}", f"evaluation.formula_file={tmp_path / 'task.ltl'}"):
+        with pytest.raises(FormulaError, match=re.escape(said)):
+            configured(given)
+
+
+def test_names_of_homes_that_are_only_read_later_are_checked_then() -> None:
+    formula = "F Unicorn"
+    assert configured(f"evaluation.formula={formula}", "evaluation.homes.files=[a.jsonl]").evaluation.formula == formula
+    assert configured(f"evaluation.formula={formula}", "homes=procthor", "homes.files=[a.jsonl]").evaluation.formula

@@ -1,16 +1,20 @@
 """Sweeps: checked as a whole before they start, one folder and one MLflow child run per cell, one report."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import mlflow
 import pandas as pd
 import pytest
+from mlflow.entities import Run
 
+from pipeline.app import sweep as sweeps
 from pipeline.app.stage import Session, Stage
 from pipeline.app.sweep import Sweep
 from pipeline.backends import runs
-from pipeline.base.config import Config, UserError
+from pipeline.base.config import UserError
+from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 
 
@@ -33,13 +37,13 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
     page = (target / "report" / "index.html").read_text()
     assert "Cost against samples" in page
     assert "planner.pouct.samples=5" in page and "planner.pouct.samples=10" in page
-    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
-    client = mlflow.MlflowClient()
-    [parent] = client.search_runs([store.experiment_id], f"tags.stage = 'sweep' and tags.output_dir = '{target}'")
-    assert parent.info.status == "FINISHED"
-    assert client.list_artifacts(parent.info.run_id, "report")
-    of_parent = f"tags.mlflow.parentRunId = '{parent.info.run_id}'"
-    children = client.search_runs([store.experiment_id], of_parent)
+    parent, children = recorded(workspace, "sweep")
+    assert parent.info.status == "FINISHED" and parent.info.run_name == "sweep"
+    assert mlflow.MlflowClient().list_artifacts(parent.info.run_id, "report")
+    name = "pouct/all/percent_better_than_nonlearned_myopic"
+    assert {metric: value for metric, value in parent.data.metrics.items() if metric.endswith(name)} == {
+        f"{re.sub('[^0-9a-z_.]', ' ', child.data.tags['sweep'])}/{name}": child.data.metrics[name] for child in children
+    }
     assert len(children) == 4
     assert {child.info.run_name for child in children} == {
         f"samples={samples},robots=[{robots}]" for samples in (5, 10) for robots in (1, 2)
@@ -49,14 +53,32 @@ def test_a_sweep_leaves_its_cells_child_runs_and_one_report(workspace: Workspace
     assert again.out.count("/episodes (unchanged, skipped)") == 4
 
 
+def recorded(workspace: Workspace, folder: str) -> tuple[Run, list[Run]]:
+    """The run of the one sweep of an output folder, and the runs of its cells."""
+    store = runs.open_tracking(f"sqlite:///{workspace.path}/outputs/mlflow.db", "mrtask")
+    client = mlflow.MlflowClient()
+    target = workspace.path / "outputs" / folder
+    [parent] = client.search_runs([store.experiment_id], f"tags.stage = 'sweep' and tags.output_dir = '{target}'")
+    of_parent = f"tags.mlflow.parentRunId = '{parent.info.run_id}'"
+    return parent, list(client.search_runs([store.experiment_id], of_parent))
+
+
 def test_one_wrong_cell_keeps_the_whole_sweep_from_starting(workspace: Workspace, cli: Cli) -> None:
-    overrides = [*workspace.overrides, "planner.pouct.samples=5,-5,x", "output_dir=outputs/wrong"]
-    done = cli("evaluate", "-m", *overrides, cwd=workspace.path)
+    overrides = [*workspace.overrides, "-m", "planner.pouct.samples=5,-5,x", "output_dir=outputs/wrong"]
+    done = cli("evaluate", *overrides, cwd=workspace.path)  # -m in the middle, as on any other command line
     assert done.code == 2
     assert "the sweep does not start" in done.err
     assert "cell planner.pouct.samples=-5: " in done.err and "cell planner.pouct.samples=x: " in done.err
     assert "== cell" not in done.out
     assert not (workspace.path / "outputs" / "wrong" / "cells").exists()
+
+
+def test_a_cell_whose_files_are_missing_keeps_the_sweep_from_starting(workspace: Workspace, cli: Cli) -> None:
+    homes = "evaluation.homes.files=[],[missing.jsonl]"
+    done = cli("evaluate", "-m", *workspace.overrides, homes, "output_dir=outputs/nofile", cwd=workspace.path)
+    assert done.code == 2 and "the sweep does not start:" in done.err and "missing.jsonl" in done.err
+    assert "cell evaluation.homes.files=[missing.jsonl]: " in done.err
+    assert "== cell" not in done.out and not (workspace.path / "outputs" / "nofile" / "cells").exists()
 
 
 def test_a_cell_that_fails_leaves_the_others_running(workspace: Workspace, cli: Cli) -> None:
@@ -68,6 +90,12 @@ def test_a_cell_that_fails_leaves_the_others_running(workspace: Workspace, cli: 
     done = cli("evaluate", *sweep, cwd=workspace.path)
     assert done.code == 2
     assert "1 of 2 cells failed" in done.err and "no large home to evaluate on" in done.err
+    parent, children = recorded(workspace, "partly")
+    assert parent.info.status == "FAILED"
+    status = {child.data.tags["sweep"]: child.info.status for child in children}
+    assert status == {"evaluation.size_classes=[large]": "FAILED", "evaluation.size_classes=[small]": "FINISHED"}
+    [failed] = [child for child in children if child.info.status == "FAILED"]
+    assert "no large home" in failed.data.tags["mlflow.note.content"]
     cells = workspace.path / "outputs" / "partly" / "cells"
     assert len(pd.read_parquet(cells / "evaluation.size_classes=_small_" / "episodes")) == 4
 
@@ -94,11 +122,29 @@ def run_cells(*, fail: set[str], dry_run: bool = False, compares: bool = True) -
 
     compare = Stage(lambda config: Compared(config.output_dir), locks="never")
     stage = Stage(lambda config: Made(config.output_dir), locks="never", compare=compare if compares else None)
-    config = Config.model_construct(output_dir="/out", dry_run=dry_run)
-    sweep = Sweep(frozenset({"a.seed"}), config, cells=3, parent_run_id="parent")
-    for seed in range(3):
-        sweep.run_cell(stage, config, ["experiment=smoke", f"a.seed={seed}"], pool=None)
+    config = configured(f"dry_run={dry_run}").model_copy(update={"output_dir": "/out"})
+    sweep = Sweep(frozenset({"a.seed"}), {f"a.seed={seed}": config for seed in range(3)})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweeps, "_record", lambda config, overrides: Record())
+        for seed in range(3):
+            sweep.run_cell(stage, config, ["experiment=smoke", f"a.seed={seed}"], pool=None)
     return ran, compared, sweep
+
+
+class Record:
+    """Stands in for the sweep's run in MLflow."""
+
+    run_id = "parent"
+
+    def __init__(self) -> None:
+        self.failures: list[tuple[str, str, str]] = []
+        self.ended: list[BaseException | None] = []
+
+    def note_failure(self, cell: str, title: str, error: str) -> None:
+        self.failures.append((cell, title, error))
+
+    def end(self, error: BaseException | None) -> None:
+        self.ended.append(error)
 
 
 def test_each_cell_knows_its_place_and_the_end_compares_once() -> None:
@@ -106,15 +152,16 @@ def test_each_cell_knows_its_place_and_the_end_compares_once() -> None:
     assert ran == [f"a.seed={seed} seed={seed} parent /out/cells/a.seed={seed}" for seed in range(3)]
     assert compared == []
     sweep.end()
-    assert compared == ["/out parent"]
+    assert compared == ["/out parent"] and sweep.record.ended == [None]
 
 
 def test_cells_that_fail_are_listed_at_the_end_and_the_others_compared() -> None:
     _, compared, sweep = run_cells(fail={"seed=0", "seed=2"})
     assert sweep.failed == ["a.seed=0: no home", "a.seed=2: no home"]
+    assert sweep.record.failures == [("a.seed=0", "seed=0", "no home"), ("a.seed=2", "seed=2", "no home")]
     with pytest.raises(SystemExit, match="2"):
         sweep.end()
-    assert compared == ["/out parent"]
+    assert compared == ["/out parent"] and sweep.record.ended == []
 
 
 def test_nothing_is_compared_where_no_cell_left_anything() -> None:

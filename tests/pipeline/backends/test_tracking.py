@@ -106,7 +106,7 @@ def test_moved_store_is_noticed(store, tmp_path):
 def test_run_records_all_it_is_given(store, dataset, good, tmp_path):
     write_dataset(dataset, tmp_path / "rows")
     (tmp_path / "note.txt").write_text("hello")
-    with runs.run(store, "train", {"model": {"kind": "frequency"}, "seed": 3}, {"git": "abc"}) as run:
+    with runs.run(store, "train", {"model": {"kind": "frequency"}, "seed": 3}, {"git": "abc", "sweep": ""}) as run:
         for epoch, loss in enumerate([0.5, 0.25], 1):
             runs.log_metrics(run, {"loss": loss, "nothing": float("nan")}, step=epoch)
         runs.log_artifact(run, tmp_path / "note.txt", "notes")
@@ -116,12 +116,15 @@ def test_run_records_all_it_is_given(store, dataset, good, tmp_path):
     found = client.get_run(run.run_id)
     assert found.info.status == "FINISHED"
     assert found.data.params == {"model.kind": "frequency", "seed": "3"}
-    assert found.data.tags["git"] == "abc"
+    assert found.data.tags["git"] == "abc" and "sweep" not in found.data.tags
     assert [(m.step, m.value) for m in client.get_metric_history(run.run_id, "loss")] == [(1, 0.5), (2, 0.25)]
     assert "nothing" not in found.data.metrics
     inputs = {item.dataset.name: item for item in found.inputs.dataset_inputs}
     assert set(inputs) == {"labelled-rows-train", "labelled-rows-validation", "labelled-rows-test"}
-    assert {item.dataset.digest for item in inputs.values()} == {dataset.manifest.content_hash[:36]}
+    assert len({item.dataset.digest for item in inputs.values()}) == 3, "each split has a digest of its own"
+    for split, homes in HOMES.items():
+        tags = {tag.key: tag.value for tag in inputs[f"labelled-rows-{split}"].tags}
+        assert (tags["homes"], tags["rows"]) == (str(homes), f"{dataset.manifest.counts[split]['rows']:.0f}")
     assert str(tmp_path / "rows") in inputs["labelled-rows-train"].dataset.source
     files = {
         f"{folder}/{Path(item.path).name}"
@@ -154,6 +157,13 @@ def test_runs_end_as_they_were_left_and_have_children(store):
     assert mlflow.active_run() is None
 
 
+def test_a_store_that_fails_under_way_is_told_in_one_line(store):
+    message = r"^tracking\.uri=sqlite:.*: MLflow's store failed: no such run$"
+    with pytest.raises(runs.TrackingError, match=message), runs.run(store, "broken", {}, {}):
+        raise mlflow.exceptions.MlflowException("no such run\n[SQL: select]")
+    assert mlflow.active_run() is None
+
+
 def test_first_model_is_champion_and_only_a_better_one_follows(store, dataset, poor, good):
     with pytest.raises(registry.ChampionError, match=r"no usable model models:/container-object-likelihood@champion"):
         registry.load_registered(store)
@@ -169,6 +179,8 @@ def test_first_model_is_champion_and_only_a_better_one_follows(store, dataset, p
     assert not register(store, good, dataset).promoted
     champion = registry.load_registered(store)
     assert champion.version == "2"
+    assert registry.logged_model_id(store, "2") in artifact(store, "2", "model").parts
+    assert registry.logged_model_id(store, "99") is None
     assert champion.training_homes == {*dataset.manifest.split["train"], *dataset.manifest.split["validation"]}
     assert np.array_equal(champion.model.predict(NAMES), good.model.predict(NAMES))
 

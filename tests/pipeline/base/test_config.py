@@ -61,6 +61,12 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["planner.pouct.samples=-5"], ["pouct", "samples must be at least 1, not -5"]),
         (["+planner.pouct.smaples=5"], ["pouct", "smaples", "samples"]),
         (["+planner.puct.samples=5"], ["unknown planner 'puct'", "pouct"]),
+        (["evaluation.planners=[greedy,pouctt]"], ["unknown planner 'pouctt'; did you mean pouct? allowed: "]),
+        (["+planner_variants.eager={planner: pouctt}"], ["planner_variants.eager: ", "did you mean pouct?"]),
+        (["evaluation.size_classes=[smal]"], ["did you mean small? allowed: 'small', 'medium', 'large'"]),
+        (["evaluation.model_uri=champion"], ["evaluation.model_uri=champion: allowed: models:/NAME/VERSION, "]),
+        (["contents.sha256=abc"], ["contents.sha256=abc: allowed: 64 hexadecimal digits"]),
+        (["+planner_variants={a b: {planner: pouct}}"], ["allowed: names of letters, digits, _, - and :"]),
         (["evaluation.planners=[pouct,foo]"], ["evaluation.planners", "'foo'", *PLANNERS]),
         (["evaluation.planners=[greedy,greedy]"], ["evaluation.planners", "once"]),
         (["evaluation.planners=[no.such.module]"], ["no.such.module", "cannot be imported"]),
@@ -70,10 +76,13 @@ def test_single_values_stand_for_lists_of_one() -> None:
         (["evaluation.trials_per_cell=0"], ["evaluation.trials_per_cell=0", "at least 1"]),
         (["evaluation.speed_m_per_s=0"], ["evaluation.speed_m_per_s=0", "greater than 0"]),
         (["evaluation.max_failed_fraction=2"], ["at most 1"]),
+        (["map=3"], ["map=3: should hold keys and values"]),
+        (["homes=ros_map", "homes.map=3", "homes.containers=c"], ["homes.map.0=3: should be the path of a file"]),
+        (["seed=null"], ["seed=None: has no value"]),
         (["evaluation.rerun=[failled]"], ["'error', 'timeout', 'failed'"]),
         (["map.resolution_m=-1"], ["map.resolution_m", "greater than 0"]),
         (["model.kind=transformer"], ["model.kind=transformer", *KINDS]),
-        (["cluster.address=nowhere"], ["cluster.address=nowhere"]),
+        (["cluster.address=nowhere"], ["cluster.address=nowhere: allowed: local, auto, ray://HOST:PORT or HOST:PORT"]),
         (["homes=procthor"], ["homes.files", "a value is needed"]),
         (["homes=procthor", "homes.files=[]"], ["homes.files"]),
         (["homes=ros_map", "homes.map=a.yaml"], ["homes.containers", "a value is needed"]),
@@ -96,6 +105,27 @@ def test_mistakes_are_refused_with_what_is_allowed(overrides: list[str], said: l
         configured(*overrides)
     for part in said:
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["evaluation.task=Mug", "evaluation.formula=F Mug"],
+        ["perception.true_positive_prob=0.1", "perception.false_positive_prob=0.2"],
+        [f"evaluation.cost={'x' * 500}"],
+    ],
+)
+def test_a_message_repeats_no_whole_section_and_no_long_value(overrides: list[str]) -> None:
+    with pytest.raises(UserError) as caught:
+        configured(*overrides)
+    assert len(str(caught.value)) < 250 and "{" not in str(caught.value)
+
+
+def test_a_variant_that_no_stage_runs_is_known() -> None:
+    variant = "+planner_variants.eager={planner: pouct, options: {exploration: 0.5}}"
+    assert configured(variant).idle_variants == ("eager",)
+    assert configured(variant, "evaluation.planners=[pouct,eager]").idle_variants == ()
+    assert configured(variant, "optimality.planners=[eager]").idle_variants == ()
 
 
 def test_options_of_an_own_planner_stand_under_its_name() -> None:
@@ -157,3 +187,19 @@ def test_tests_configure_as_hydra_does() -> None:
     assert configured(*overrides) == load(composed_by_hydra(overrides))
     with pytest.raises(OmegaConfBaseException):
         configured("evaluation.robot=1")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind", "rivals"),
+    [
+        ((), "similarity", ("paper_fcnn",)),
+        (("model=mlp",), "mlp", ()),
+        (("model=similarity",), "similarity", ()),
+        (("experiment=smoke",), "similarity", ()),
+        (("experiment=paper_full",), "paper_fcnn", ()),
+        (("model=mlp", "rivals=[frequency]"), "mlp", ("frequency",)),
+    ],
+)
+def test_only_the_default_model_has_a_rival(overrides: tuple[str, ...], kind: str, rivals: tuple[str, ...]) -> None:
+    config = configured(*overrides)
+    assert (config.model.kind, config.rivals) == (kind, rivals)

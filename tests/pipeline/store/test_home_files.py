@@ -55,14 +55,14 @@ def test_faulty_houses_are_an_error_unless_they_are_skipped(
     tmp_path: Path, houses: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write(tmp_path / "some.jsonl", [houses[0], {"name": "no house"}, houses[1]])
-    with pytest.raises(UserError, match=r"some\.jsonl, home 1.*\nhomes\.skip_faulty=true"):
+    with pytest.raises(UserError, match=r"some\.jsonl, line 2.*\nhomes\.skip_faulty=true"):
         HouseFiles(files=(path,)).read()
     lenient = HouseFiles(files=(path,), skip_faulty=True)
     assert len(lenient.read()) == 2
     say_faults(lenient)
-    assert "faulty homes left out: 1; the first: some.jsonl, home 1" in capsys.readouterr().out
+    assert "faulty homes left out: 1; the first: some.jsonl, line 2" in capsys.readouterr().out
     none = HouseFiles(files=(write(tmp_path / "none.jsonl", [{"name": "no house"}] * 2),), skip_faulty=True)
-    with pytest.raises(UserError, match=r"all 2 are faulty; the first: none\.jsonl, home 0"):
+    with pytest.raises(UserError, match=r"all 2 are faulty; the first: none\.jsonl, line 1"):
         none.read()
     with pytest.raises(HouseError, match=r"gone\.jsonl: no such file"):
         HouseFiles(files=(tmp_path / "gone.jsonl",), skip_faulty=True).read()

@@ -83,7 +83,7 @@ def test_other_homes_are_read_with_the_sets_assets_unless_they_have_their_own(
         }
         (tmp_path / name).write_text(json.dumps(scaled))
     given = EvaluationHomes(files=(others,), assets=None, skip_faulty=False, order="shuffled")
-    with pytest.raises(UserError, match=r"others\.jsonl, home 0"):
+    with pytest.raises(UserError, match=r"others\.jsonl, line 1"):
         home_set.evaluation_homes(given)
     with_assets = replace(home_set, houses=home_set.houses.model_copy(update={"assets": tmp_path / "assets.json"}))
     source, [home] = with_assets.evaluation_homes(given)

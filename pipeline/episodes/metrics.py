@@ -1,0 +1,58 @@
+"""What MLflow's lists and descriptions say about an evaluation: numbers by planner and cell, and the headline."""
+
+import math
+from collections.abc import Iterator
+
+from mrtask.analysis.page.style import planner_label
+from mrtask.analysis.report.answer import find
+from mrtask.analysis.results.published import load_published
+from mrtask.analysis.results.roles import BASELINES, main_planner
+from mrtask.analysis.results.statistics import EVERYTHING, Cell, Estimate, Summary
+
+
+def metrics_of(summary: Summary) -> dict[str, float]:
+    """Return ``<planner>/<size>_<robots>/<what>``, and ``<planner>/all/<what>`` over everything; undefined ones lack.
+
+    These are the accepted share, the mean cost, the improvements over the baselines, each with its 95 % interval
+    (``_low``, ``_high``), and the mean planning time of a decision.
+    """
+    named = {cell: f"{cell[0]}_{cell[1]}" for cell in summary.cells} | {EVERYTHING: "all"}
+    found = {
+        f"{planner_label(planner)}/{name}/{what}": value
+        for cell, name in named.items()
+        for planner in summary.planners
+        for what, value in (*_of_cell(summary, cell, planner), *_beside_means(summary, cell, planner))
+    }
+    return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def _of_cell(summary: Summary, cell: Cell, planner: str) -> Iterator[tuple[str, float]]:
+    one = summary.planner_cells.get((cell, planner))
+    if one is None:
+        return
+    yield "accepted", one.accepted / one.episodes
+    yield "decision_s", one.decision_s
+    yield from _with_interval("cost_cells", one.cost_cells)
+    for baseline in BASELINES:
+        yield from _with_interval(f"percent_better_than_{baseline}", summary.improvement(cell, planner, baseline))
+
+
+def _beside_means(summary: Summary, cell: Cell, planner: str) -> Iterator[tuple[str, float]]:
+    """Yield, over everything, what a mean hides: the median saving, and the shares of ties and of later trials."""
+    for other in BASELINES if cell == EVERYTHING else ():
+        pair = summary.comparisons.get((cell, planner, other))
+        if pair is not None and pair.improvement.n:
+            yield f"median_percent_better_than_{other}", pair.median_percent
+            yield f"percent_of_trials_equal_to_{other}", pair.percent_of_pairs(pair.ties)
+            yield f"percent_of_trials_later_than_{other}", pair.percent_of_pairs(pair.losses)
+
+
+def _with_interval(what: str, estimate: Estimate) -> Iterator[tuple[str, float]]:
+    yield what, estimate.value
+    yield f"{what}_low", estimate.low
+    yield f"{what}_high", estimate.high
+
+
+def headline_of(summary: Summary) -> str:
+    """Return in a sentence how much better the main planner is than the baselines, as the report says it."""
+    return find(summary, load_published(), main_planner(summary.planners)).headline
