@@ -33,12 +33,12 @@ from .maps.home_map import build_map as build_map
 from .maps.ros_map import read_map_worlds as read_map_worlds
 from .maps.ros_map import read_ros_map as read_ros_map
 from .planning.greedy import Greedy as Greedy
+from .planning.known import Known as Known
 from .planning.myopic import LearnedMyopic as LearnedMyopic
 from .planning.myopic import NonlearnedMyopic as NonlearnedMyopic
 from .planning.paper.planner import PaperPouct as PaperPouct
 from .planning.planners import PLANNERS as PLANNERS
 from .planning.planners import make_planner as make_planner
-from .planning.pouct import Known as Known
 from .planning.pouct import Pouct as Pouct
 from .planning.problem import WAIT as WAIT
 from .planning.problem import Assignment as Assignment

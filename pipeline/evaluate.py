@@ -257,13 +257,15 @@ def _manifest(
 
 def _reliability(context: Context) -> tuple[dict[str, Any], ...]:
     bins = reliability_in_homes(context.homes, context.table)
-    return tuple(bins.astype(object).where(bins.notna(), None).to_dict("records"))
+    rows = bins.astype(object).where(bins.notna(), None).to_dict("records")
+    return tuple({str(column): value for column, value in row.items()} for row in rows)
 
 
 def check(config: Config) -> None:
     """Refuse a task that is none, homes that are not there, and a store that cannot be used."""
     plans.check(config.evaluation)
-    runs.check_store(config)
+    if not runs.is_new(config.tracking.uri):  # a new one holds no model, and refusing it must not make it
+        runs.check_store(config)
 
 
 STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)

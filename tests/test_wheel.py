@@ -70,8 +70,8 @@ def test_commands_in_its_messages_are_those_that_it_installs(site: Path) -> None
     named = re.compile(rf"python -m (mrtask\.)?pipeline\.({'|'.join(cli.commands())})(?!\w|\.\w)")
     files = [path for path in (site / "mrtask").rglob("*") if path.suffix in (".py", ".yaml", ".jinja")]
     assert {path: found[0] for path in files if (found := named.search(path.read_text()))} == {}
-    said = (site / "mrtask" / "pipeline" / "episodes" / "plan.py").read_text()
-    assert "no model is registered yet; mrtask train trains one" in said
+    said = (site / "mrtask" / "pipeline" / "backends" / "registry.py").read_text()
+    assert "train one with mrtask train, " in said
     live = (site / "mrtask" / "pipeline" / "live" / "ros.py").read_text()
     assert "    python -m mrtask.pipeline.live.ros " in live and "is mrtask live running" in live
 

@@ -11,6 +11,7 @@ from mrtask.execution.motion import Position
 from mrtask.execution.trace import Leg, Letter
 from mrtask.live.barriers import Barrier
 from mrtask.live.state import EventKey, LiveSetup
+from mrtask.planning.problem import NONE_UNNAMED
 
 READ_VERSIONS: Final = (1, 2)
 IDS, LEGS, PASSED = "ids", "legs", "passed"
@@ -118,7 +119,9 @@ def mistake(setup: LiveSetup, state: SavedState) -> str | None:
     letters = [one.robot for one in state.letters]
     containers = [(one.place, "place") for one in state.robots] + [(one.container, "container") for one in state.robots]
     containers += [(container, "setbacks") for one in state.robots for container, *_ in one.setbacks]
-    objects = [(one.obj, "obj") for one in state.robots] + [(one.interaction, "interaction") for one in state.robots]
+    # Below the objects stand ANY_SAFE and, only for what was ordered, NONE_UNNAMED.
+    objects = [(one.obj, "obj") for one in state.robots]
+    objects += [(one.interaction, "interaction") for one in state.robots if one.interaction != NONE_UNNAMED]
     objects += [(what, "setbacks") for one in state.robots for _, what, *_ in one.setbacks if what >= 0]
     for numbers, count, kind in ((containers, shape[0], "container"), (objects, shape[1], "object")):
         if wrong := [f"{name} is {number}" for number, name in numbers if not -1 <= number < count]:

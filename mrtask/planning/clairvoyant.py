@@ -11,6 +11,7 @@ the search took none of the robots' time. (The robot itself, or another one befo
 ``interact_time_s > 0``, a letter may begin as soon as its object first advanced the task; no run can be faster.
 """
 
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count
 from math import inf
@@ -28,10 +29,48 @@ which makes them interchangeable.
 """
 
 
+@dataclass(frozen=True)
+class Letter:
+    """A letter of a fastest run."""
+
+    obj: int
+    container: int
+    row: int
+    """The row of `Belief.start_s` from which its robot came, or -1 if it is not the robot's first letter. The first of
+    the robots that start together stands for all."""
+    before: "Letter | None"
+    """The letter before this one in the word."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A fastest run."""
+
+    makespan_s: float
+    """inf if the task cannot be done."""
+    rows: tuple[int, ...]
+    """[R] the row of `Belief.start_s` that stands for each robot."""
+    last: Letter | None = None
+    """The last letter of the word."""
+
+
+class TooManyStatesError(Exception):
+    """The search for a fastest run was given up at its limit."""
+
+
 def clairvoyant_s(belief: Belief, world: Bools, free: frozenset[int] = frozenset()) -> float:
     """Return the least makespan in seconds with contents ``world`` [C, O], or inf if the task cannot be done.
 
     Letters of the objects ``free`` cost nothing and can be performed anywhere at any time.
+    """
+    return fastest_run(belief, world, free).makespan_s
+
+
+def fastest_run(belief: Belief, world: Bools, free: frozenset[int] = frozenset(), max_states: float = inf) -> Run:
+    """Return a fastest run with contents ``world`` [C, O]; ``free`` is as in `clairvoyant_s`.
+
+    Raises:
+        TooManyStatesError: more than ``max_states`` states were looked at.
     """
     automaton = belief.automaton
     objects = range(world.shape[1])
@@ -53,19 +92,22 @@ def clairvoyant_s(belief: Belief, world: Bools, free: frozenset[int] = frozenset
     team: Robots = tuple(sorted((-1 - row, 0.0) for row in rows))
     since = since_when((inf,) * world.shape[1] if overlap else (), belief.state, 0.0)
     number = count()
-    queue = [(0.0, next(number), belief.state, team, frozenset[int](), since)]
+    last: Letter | None = None
+    queue = [(0.0, next(number), belief.state, team, frozenset[int](), since, last)]
     seen = set()
     while queue:
-        now_s, _, z, team, opened, since = heappop(queue)
+        now_s, _, z, team, opened, since, last = heappop(queue)
         if automaton.accepting[z]:
-            return now_s
+            return Run(now_s, tuple(rows), last)
         if (z, team, opened, since) in seen:
             continue
         seen.add((z, team, opened, since))
+        if len(seen) > max_states:
+            raise TooManyStatesError
         for obj in options[z]:
             after = int(automaton.transitions[z, obj])
             if obj in free:
-                heappush(queue, (now_s, next(number), after, team, opened, since_when(since, after, now_s)))
+                heappush(queue, (now_s, next(number), after, team, opened, since_when(since, after, now_s), last))
                 continue
             for container in places[obj]:
                 for index, (place, ready_s) in enumerate(team):
@@ -82,5 +124,8 @@ def clairvoyant_s(belief: Belief, world: Bools, free: frozenset[int] = frozenset
                         continue
                     moved = tuple(sorted((*team[:index], (container, done_s), *team[index + 1 :])))
                     then = opened | {container} if searches else opened
-                    heappush(queue, (done_s, next(number), after, moved, then, since_when(since, after, done_s)))
-    return inf
+                    letter = Letter(obj, container, -1 - place if place < 0 else -1, last)
+                    heappush(
+                        queue, (done_s, next(number), after, moved, then, since_when(since, after, done_s), letter)
+                    )
+    return Run(inf, tuple(rows))

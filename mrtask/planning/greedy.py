@@ -9,7 +9,7 @@ import numpy as np
 
 from mrtask.planning import greedy_kernel as kernel
 from mrtask.planning.compiled import compiled
-from mrtask.planning.problem import REASSIGN, Assignment, Plan, PlanningProblem, check_choice
+from mrtask.planning.problem import ANY_SAFE, REASSIGN, Assignment, Plan, PlanningProblem, check_choice
 from mrtask.planning.reference import by_reference
 from mrtask.planning.shared_kernel import NONE
 from mrtask.planning.team_kernel import Model, World
@@ -71,8 +71,12 @@ def assign_greedily(
     world: World,
     greedy: kernel.GreedyPolicy,
     assign: Callable[[Model, World, kernel.GreedyPolicy], None] = kernel.assign,
+    unnamed: int = ANY_SAFE,
 ) -> dict[int, Assignment]:
-    """Let all undecided robots of a world begin their greedy actions; ``assign`` is the kernel, compiled or not."""
+    """Let all undecided robots of a world begin their greedy actions; ``assign`` is the kernel, compiled or not.
+
+    ``unnamed`` is the interaction of actions that name none.
+    """
     deciders = np.flatnonzero(world.robots.undecided)
     assign(model, world, greedy)
-    return {int(robot): assignment_begun(world, int(robot)) for robot in deciders}
+    return {int(robot): assignment_begun(world, int(robot), unnamed) for robot in deciders}

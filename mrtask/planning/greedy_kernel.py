@@ -120,7 +120,7 @@ def _score(
     else:
         state = model.states[world.state[AUTOMATON]]
         useful = container.holds & state.needed
-        if useful & state.safe & ~fetching:
+        if useful & state.automatic & ~fetching:
             weight = 1.0
         elif ahead and useful & ~state.nearer and not _stands_ready(model, world, r):
             weight = 1.0 / greedy.later_weight
@@ -190,7 +190,7 @@ def _best(
         if best != NONE or ahead:
             break
     state = model.states[world.state[AUTOMATON]]
-    named = (state.worth if detours else state.nearer) & ~state.safe & world.state[FOUND] & ~fetching
+    named = (state.worth if detours else state.nearer) & ~state.automatic & world.state[FOUND] & ~fetching
     if named:
         action, score = _best_named(model, world, greedy, named, detours, r)
         if score < best_score:
@@ -243,9 +243,12 @@ def first_to_decide(model: Model, world: World, greedy: GreedyPolicy) -> int:
 
 
 @inlined
-def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
-    """Let all undecided robots begin actions, in each round the robot and action of least score overall."""
-    row, taken = _inverse_prob(model, world, greedy), EVERYWHERE
+def assign(model: Model, world: World, greedy: GreedyPolicy, looked: bool = False) -> None:
+    """Let all undecided robots begin actions, in each round the robot and action of least score overall.
+
+    With ``looked``, `first_to_decide` has just been called for this world and has left what each robot would do.
+    """
+    row, taken = _inverse_prob(model, world, greedy), NOWHERE if looked else EVERYWHERE
     while True:
         _look_round(model, world, greedy, row, taken)
         robot = _least(world, greedy)
@@ -260,15 +263,16 @@ def assign(model: Model, world: World, greedy: GreedyPolicy) -> None:
 
 
 @inlined
-def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s) -> int:
-    """Finish the task greedily, and return DONE or STUCK.
+def rollout(model: Model, world: World, greedy: GreedyPolicy, rng: UInt64s, looked: bool = False) -> int:
+    """Finish the task greedily, and return DONE or STUCK. See `assign` for ``looked``.
 
     The rollout ends because each search, and each interaction that the policy makes, happens a bounded number of times:
     a safe interaction keeps every way to finish the task open, and all others lead nearer to acceptance. The limit on
     decisions backs up this argument.
     """
     for _ in range(model.max_decisions):
-        assign(model, world, greedy)
+        assign(model, world, greedy, looked)
+        looked = False
         outcome = advance(model, world, rng)
         if outcome != DECIDE:
             return outcome

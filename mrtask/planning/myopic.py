@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mrtask.arrays import Bools, Floats
 from mrtask.planning.problem import (
+    ANY_SAFE,
     REASSIGN,
     WAIT,
     Assignment,
@@ -123,8 +124,8 @@ def _interactions(
 ) -> list[tuple[int, Assignment]]:
     """Pair robots with containers known to hold an object that advances the task now: nearest first, each robot once.
 
-    An interaction that can hurt is requested by name, and only if it brings acceptance nearer, counted in interactions
-    with objects that are found or may still be found.
+    An interaction that can hurt is requested only if it brings acceptance nearer, counted in interactions with objects
+    that are found or may still be found, and only while no other one is under way: of two, each could undo the other.
 
     Args:
         only_here: match a robot only with the container where it stands.
@@ -135,9 +136,11 @@ def _interactions(
     more_to_find = not only_found and (~problem.searched & np.isfinite(travel_s).any(axis=0)).any()
     steps = automaton.steps_with(problem.found() | more_to_find)
     nearer = steps[automaton.transitions[state]] < steps[state]
-    useful = automaton.advancing[state] & (safe(automaton)[state] | nearer)
+    can_hurt = automaton.advancing[state] & ~safe(automaton)[state]
+    useful = automaton.advancing[state] & (~can_hurt | nearer)
     kept = [robot for index, robot in enumerate(problem.robots) if index not in deciding]
     fetched = {robot.interacting for robot in kept} | {robot.interaction for robot in kept if robot.target >= 0}
+    fetched.discard(ANY_SAFE)
     pairs = sorted(
         (float(travel_s[robot, container]), robot, int(container), int(obj))
         for obj in np.flatnonzero(useful)
@@ -147,7 +150,8 @@ def _interactions(
     )
     chosen: dict[int, Assignment] = {}
     for _, robot, container, obj in pairs:
-        if robot not in chosen and obj not in fetched:
+        alone = not fetched or not can_hurt[[obj, *fetched]].any()
+        if robot not in chosen and obj not in fetched and alone:
             fetched.add(obj)
             chosen[robot] = Assignment(container, obj)
     return list(chosen.items())

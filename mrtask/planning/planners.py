@@ -63,7 +63,7 @@ PLANNERS: Mapping[str, PlannerEntry] = {
     "greedy": PlannerEntry("greedy.Greedy", Role.REFERENCE),
     "pouct_paper": PlannerEntry("paper.planner.PaperPouct", Role.REFERENCE, published_as=PAPERS_PLANNER),
     "pouct": PlannerEntry("pouct.Pouct", Role.OURS, published_as=PAPERS_PLANNER),
-    "known": PlannerEntry("pouct.Known", Role.BOUND),
+    "known": PlannerEntry("known.Known", Role.BOUND),
 }
 """The planners, from the simplest to the best informed. Rows and legends keep this order."""
 

@@ -6,6 +6,8 @@ greedy policy. An action is a container, WAIT, or C + object for an interaction 
 
 from typing import NamedTuple
 
+import numpy as np
+
 from mrtask.arrays import UInt64s
 from mrtask.planning.compiled import compiled, inlined
 from mrtask.planning.greedy_kernel import GreedyPolicy, first_to_decide, next_action, rollout
@@ -30,14 +32,18 @@ from mrtask.planning.tree import (
     add_edge,
     add_node,
     attach,
-    back_up,
+    back_up_best,
     child_of,
     least_bound,
+    least_visited,
     spread_s,
 )
 
 WAIT_RANK = 2
 """A tree node tries waiting after this many containers."""
+
+TIE_S = 1e-9
+"""Bounds that differ by less are equal. Actions that lead to the same costs would otherwise differ by rounding."""
 
 
 class Search(NamedTuple):
@@ -46,6 +52,7 @@ class Search(NamedTuple):
     exploration: float
     widening_factor: float
     widening_exponent: float
+    least_visits: float  # a root decision with n visits takes each of its actions at least this times sqrt(n) times
 
 
 @inlined
@@ -89,14 +96,24 @@ def _widen(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, node: i
 
 
 @inlined
-def _select(model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, node: int) -> int:
-    """Return the edge to follow: a new one while the node is too narrow for its visits, else the best by UCB1."""
+def _select(
+    model: Model, world: World, tree: Tree, greedy: GreedyPolicy, search: Search, node: int, at_root: bool
+) -> int:
+    """Return the edge to follow: a new one while the node is too narrow for its visits, else the best by UCB1.
+
+    Among the robots that decide ``at_root``, an edge with too few visits goes first. The value of a robot's action
+    depends on what its team-mates do then, which the tree must have tried.
+    """
     width = search.widening_factor * tree.nodes[node].visits ** search.widening_exponent
     if tree.nodes[node].next_untried == 0 or tree.nodes[node].next_untried < width:
         edge = _widen(model, world, tree, greedy, node)
         if edge != NONE:
             return edge
-    return least_bound(tree, node, search.exploration * spread_s(tree))
+    if at_root:
+        edge = least_visited(tree, node)
+        if edge != NONE and tree.edges[edge].visits < search.least_visits * np.sqrt(float(tree.nodes[node].visits)):
+            return edge
+    return least_bound(tree, node, search.exploration * spread_s(tree), TIE_S)
 
 
 @inlined
@@ -105,38 +122,39 @@ def _sample(
 ) -> None:
     """Run one sample from the root. The tree grows by one node unless it is full."""
     copy_world(root, world)
-    node, depth, key, outcome = 0, 0, 0, DECIDE
+    node, depth, key, outcome, at_root = 0, 0, 0, DECIDE, True
     if tree.size[NODES] == 0:
         node = NONE
     while True:
         leaf = node == NONE or depth == tree.path.size
-        if node == NONE and tree.size[NODES] < tree.nodes.size:
+        looked = node == NONE and tree.size[NODES] < tree.nodes.size
+        if looked:
             node = decision_node(model, world, tree, greedy, key)
             if depth > 0:
                 attach(tree, tree.path[depth - 1], node)
         if leaf and depth > 0:
             break
-        edge = _select(model, world, tree, greedy, search, node)
+        edge = _select(model, world, tree, greedy, search, node, at_root)
         tree.nodes[node].visits += 1
         if edge == NONE:  # a full tree's nodes without children
             break
-        tree.path[depth] = edge
+        tree.path[depth], tree.nodes_of_path[depth] = edge, node
         depth += 1
         act(model, world, tree.nodes[node].robot, tree.edges[edge].action)
         key = 0
         if not any_undecided(world):
-            world.state[HISTORY] = 0
+            world.state[HISTORY], at_root = 0, False
             outcome = advance(model, world, rng)
             if outcome != DECIDE:
                 break
             key = world.state[HISTORY]
         node = child_of(tree, edge, key)
     if outcome == DECIDE:
-        outcome = rollout(model, world, greedy, rng)
+        outcome = rollout(model, world, greedy, rng, looked)
     cost_s = world.clock[0]
     if outcome == STUCK:
         cost_s += model.penalty_s
-    back_up(tree, depth, cost_s)
+    back_up_best(tree, depth, cost_s)
 
 
 @compiled

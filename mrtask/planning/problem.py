@@ -24,6 +24,9 @@ SAME_INSTANT_S = 1e-9
 ANY_SAFE = -1
 """The interaction of an assignment with which the robot makes every interaction that cannot hurt; see `safe`."""
 
+NONE_UNNAMED = -2
+"""The interaction of an assignment with which the robot interacts with nothing: its planner names each interaction."""
+
 REASSIGN = ("all", "free")
 """Which robots decide after the team has learned or done something: ``all`` includes those under way, ``free`` does
 not."""
@@ -32,8 +35,8 @@ not."""
 class Assignment(NamedTuple):
     """One robot's action: go to ``container`` (or `WAIT`), search it if no robot has done so, then interact there.
 
-    The ``interaction`` is a task object's index or `ANY_SAFE`. With an index, the robot interacts with that object
-    only, if the object is there and advances the task.
+    The ``interaction`` is a task object's index, `ANY_SAFE` or `NONE_UNNAMED`. With an index, the robot interacts with
+    that object only, if the object is there and advances the task.
     """
 
     container: int
@@ -119,7 +122,8 @@ class PlanInfo:
     """Why a plan was chosen. Search planners fill in every field; rule-based planners fill in only ``planning_s``.
 
     A search decides for one robot after the other. ``root`` lists the candidate actions of the first robot,
-    ``root_robot``, starting with the most visited: ``(assignment, visits, mean cost in s, spread in s)``.
+    ``root_robot``, starting with the most visited: ``(assignment, visits, mean cost in s, spread in s)``. A plan known
+    to be optimal without a search has a ``value_s`` and no samples.
     """
 
     planning_s: float = 0.0

@@ -20,7 +20,8 @@ STATE = np.dtype(
         ("advancing", np.int64),  # mask
         ("worth", np.int64),  # mask: advancing, and the task can finish without returning to this state
         ("nearer", np.int64),  # mask: advancing, and either safe or one interaction nearer to acceptance
-        ("safe", np.int64),  # mask: interactions taken without a decision
+        ("safe", np.int64),  # mask: advancing, and cannot hurt
+        ("automatic", np.int64),  # mask: interactions taken without a decision
         ("needed", np.int64),  # mask: advancing now or later
         ("steps", np.int64),  # number of interactions to acceptance, with objects that can be found
         ("accepting", np.int64),

@@ -38,7 +38,7 @@ ROBOT = np.dtype(
         ("since_s", np.float64),  # time of departure of a robot under way
         ("mode", np.int64),
         ("place", np.int64),  # container at which a robot stands or to which it moves, NONE anywhere else
-        ("want", np.int64),  # object of a named interaction, NONE to make every safe interaction
+        ("want", np.int64),  # object of a named interaction, NONE to make every automatic one
         ("doing", np.int64),  # object being interacted with
         ("origin", np.int64),  # container of departure, or NONE if `World.away` holds the times
         ("undecided", np.int64),
@@ -170,7 +170,7 @@ def _begin_interaction(model: Model, world: World, r: int) -> bool:
     z = world.state[AUTOMATON]
     here = world.containers[robot.place].holds
     if robot.want == NONE:
-        here &= model.states[z].safe
+        here &= model.states[z].automatic
     else:
         here &= model.states[z].advancing & (1 << robot.want)
     best, obj = NONE, 0

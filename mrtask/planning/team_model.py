@@ -25,8 +25,10 @@ MOVES_PER_EVENT = 4
 """Between two events at which something is learned or done, a robot of a rollout makes fewer moves than this."""
 
 
-def team_model(problem: PlanningProblem) -> kernel.Model:
+def team_model(problem: PlanningProblem, decide_all: bool = False) -> kernel.Model:
     """Return the data that do not change while planning. Containers that no robot can reach hold nothing.
+
+    With ``decide_all``, every interaction is a decision; otherwise those that cannot hurt are automatic.
 
     Raises:
         ValueError: the task has more objects than the kernel's bit masks hold.
@@ -42,7 +44,7 @@ def team_model(problem: PlanningProblem) -> kernel.Model:
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         prob=prob,
         transitions=automaton.transitions.astype(np.int64),
-        states=state_records(automaton, obtainable(problem)),
+        states=state_records(automaton, obtainable(problem), decide_all),
         search_time_s=float(problem.search_time_s),
         interact_time_s=float(problem.interact_time_s),
         penalty_s=stuck_penalty_s(problem),
@@ -67,7 +69,9 @@ def root_world(problem: PlanningProblem, model: kernel.Model, reassign_all: bool
     root.state[kernel.FOUND] = np.bitwise_or.reduce(root.containers.holds)
     for index, robot in enumerate(problem.robots):
         record = root.robots[index]
-        record.place, record.origin, record.want, record.until_s = robot.place, robot.place, robot.interaction, np.inf
+        record.place, record.origin, record.want, record.until_s = robot.place, robot.place, NONE, np.inf
+        if robot.interaction >= 0:
+            record.want = robot.interaction
         root.away[index] = robot.travel_s
         if robot.free:
             record.undecided = 1
@@ -120,7 +124,7 @@ def obtainable(problem: PlanningProblem) -> Bools:
     return np.asarray(problem.found() | (reachable & ~problem.searched).any())
 
 
-def state_records(automaton: Automaton, available: Bools) -> Records:
+def state_records(automaton: Automaton, available: Bools, decide_all: bool = False) -> Records:
     """Return the task's states [Z] as kernels know them, if only the ``available`` [O] objects will be found."""
     records = blank_records(len(automaton.accepting), STATE)
     steps, harmless = automaton.steps_with(available), safe(automaton)
@@ -129,18 +133,22 @@ def state_records(automaton: Automaton, available: Bools) -> Records:
     records.worth[:] = masks(nearer | worth_interacting(automaton, automaton.advancing & ~nearer, available))
     records.nearer[:] = masks(nearer)
     records.safe[:] = masks(harmless)
+    records.automatic[:] = 0 if decide_all else records.safe
     records.needed[:] = masks(needed(automaton))
     records.steps[:] = steps
     records.accepting[:] = automaton.accepting
     return records
 
 
-def assignment_begun(world: kernel.World, robot: int) -> Assignment:
-    """Return, as an assignment, the action that `team_kernel.act` has just begun for a robot."""
+def assignment_begun(world: kernel.World, robot: int, unnamed: int = ANY_SAFE) -> Assignment:
+    """Return, as an assignment, the action that `team_kernel.act` has just begun for a robot.
+
+    ``unnamed`` is the interaction of actions that name none.
+    """
     if world.robots[robot].mode != kernel.MOVING:
-        return Assignment(WAIT)
+        return Assignment(WAIT, unnamed)
     want = int(world.robots[robot].want)
-    return Assignment(int(world.robots[robot].place), ANY_SAFE if want == NONE else want)
+    return Assignment(int(world.robots[robot].place), unnamed if want == NONE else want)
 
 
 def masks(members: np.ndarray) -> Ints:

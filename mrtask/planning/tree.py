@@ -61,6 +61,8 @@ NODE = np.dtype(
         ("first_edge", np.int64),  # its newest edge
         ("next_untried", np.int64),  # the next action, in its planner's order, that the node has not tried
         ("sibling", np.int64),  # the next child of the same edge
+        ("best", np.int64),  # the most visited edge, kept by `back_up_best`
+        ("passed_s", np.float64),  # visits times that edge's mean cost, as last passed on to the parent's edge
     ],
     align=True,
 )
@@ -72,6 +74,7 @@ EDGE = np.dtype(
         ("visits", np.int64),  # samples through the edge
         ("total_s", np.float64),  # their summed costs
         ("squares", np.float64),  # their summed squared costs
+        ("backed_s", np.float64),  # `total_s`, but with nodes' best actions in place of all samples: `back_up_best`
         ("mean_s", np.float64),  # what UCB1 needs, stored so that it takes no root or quotient each time:
         ("width", np.float64),  # the mean cost, and 1 / sqrt(visits)
     ],
@@ -86,6 +89,7 @@ class Tree(NamedTuple):
     nodes: Records  # [M] of NODE
     edges: Records  # [M] of EDGE
     path: Ints  # [MAX_PATH] edges of the sample under way
+    nodes_of_path: Ints  # [MAX_PATH] the nodes that these edges leave
     moments: Floats  # [4] of all costs: COUNT, MEAN, SQUARES, MAX_SPREAD
 
 
@@ -97,6 +101,7 @@ def empty_tree(options: SearchOptions) -> Tree:
         nodes=np.recarray(nodes, dtype=NODE),
         edges=np.recarray(nodes, dtype=EDGE),
         path=np.empty(MAX_PATH, dtype=np.int64),
+        nodes_of_path=np.empty(MAX_PATH, dtype=np.int64),
         moments=np.zeros(4),
     )
 
@@ -130,6 +135,8 @@ def add_node(tree: Tree, robot: int, key: int) -> int:
     record.first_edge = NONE
     record.next_untried = 0
     record.sibling = NONE
+    record.best = NONE
+    record.passed_s = 0.0
     return node
 
 
@@ -145,6 +152,7 @@ def add_edge(tree: Tree, node: int, action: int) -> int:
     record.visits = 0
     record.total_s = 0.0
     record.squares = 0.0
+    record.backed_s = 0.0
     tree.nodes[node].first_edge = edge
     return edge
 
@@ -181,37 +189,93 @@ def spread_s(tree: Tree) -> float:
 
 
 @inlined
-def least_bound(tree: Tree, node: int, exploration_s: float) -> int:
-    """Return a node's edge with the least lower confidence bound (UCB1 for costs), or NONE if it has no edge."""
+def least_bound(tree: Tree, node: int, exploration_s: float, tie_s: float = 0.0) -> int:
+    """Return a node's edge with the least lower confidence bound (UCB1 for costs), or NONE if it has no edge.
+
+    A newer edge is taken unless an older one is better by more than ``tie_s``.
+    """
     radius_s = exploration_s * np.sqrt(np.log(tree.nodes[node].visits + 1.0))
     best, best_bound = NONE, np.inf
     edge = tree.nodes[node].first_edge
     while edge != NONE:
         record = tree.edges[edge]
         bound = record.mean_s - radius_s * record.width
-        if bound < best_bound:
+        if bound < best_bound - tie_s:
             best, best_bound = edge, bound
         edge = record.next_edge
     return best
 
 
 @inlined
-def back_up(tree: Tree, depth: int, cost_s: float) -> None:
-    """Add a sample's cost to the ``depth`` edges of its path."""
+def least_visited(tree: Tree, node: int) -> int:
+    """Return a node's least visited edge (the newest of equals), or NONE if it has no edge."""
+    least, edge = NONE, tree.nodes[node].first_edge
+    while edge != NONE:
+        if least == NONE or tree.edges[edge].visits < tree.edges[least].visits:
+            least = edge
+        edge = tree.edges[edge].next_edge
+    return least
+
+
+@inlined
+def _count_cost(tree: Tree, cost_s: float) -> None:
+    """Add a sample's cost to the moments."""
     moments = tree.moments
     moments[COUNT] += 1
     delta = cost_s - moments[MEAN]
     moments[MEAN] += delta / moments[COUNT]
     moments[SQUARES] += delta * (cost_s - moments[MEAN])
     moments[MAX_SPREAD] = max(moments[MAX_SPREAD], np.sqrt(moments[SQUARES] / moments[COUNT]))
+
+
+@inlined
+def _count_visit(tree: Tree, edge: int, cost_s: float) -> float:
+    """Add a sample to an edge, and return the number of the edge's samples."""
+    record = tree.edges[edge]
+    record.visits += 1
+    record.total_s += cost_s
+    record.squares += cost_s * cost_s
+    visits = float(record.visits)
+    record.width = 1.0 / np.sqrt(visits)
+    return visits
+
+
+@inlined
+def back_up(tree: Tree, depth: int, cost_s: float) -> None:
+    """Add a sample's cost to the ``depth`` edges of its path."""
+    _count_cost(tree, cost_s)
     for step in range(depth):
+        visits = _count_visit(tree, tree.path[step], cost_s)
         edge = tree.edges[tree.path[step]]
-        edge.visits += 1
-        edge.total_s += cost_s
-        edge.squares += cost_s * cost_s
-        visits = float(edge.visits)
         edge.mean_s = edge.total_s / visits
-        edge.width = 1.0 / np.sqrt(visits)
+
+
+@inlined
+def back_up_best(tree: Tree, depth: int, cost_s: float) -> None:
+    """Add a sample's cost to the ``depth`` edges of its path, with the best choice at each node instead of all samples.
+
+    A node passes on the mean cost of its most visited edge, as if all its samples had taken it: those that explored
+    other edges say what these cost, not what the node's decision will cost.
+    """
+    _count_cost(tree, cost_s)
+    gained_s = cost_s
+    for step in range(depth - 1, -1, -1):
+        visits = _count_visit(tree, tree.path[step], cost_s)
+        edge, node = tree.edges[tree.path[step]], tree.nodes[tree.nodes_of_path[step]]
+        edge.backed_s += gained_s
+        edge.mean_s = edge.backed_s / visits
+        if node.best == NONE or _is_better(tree, tree.path[step], node.best):
+            node.best = tree.path[step]
+        passed_s = node.visits * tree.edges[node.best].mean_s
+        gained_s = passed_s - node.passed_s
+        node.passed_s = passed_s
+
+
+@inlined
+def _is_better(tree: Tree, edge: int, other: int) -> bool:
+    """Return whether an edge has more visits than another one, or as many and a lower mean cost."""
+    one, two = tree.edges[edge], tree.edges[other]
+    return one.visits > two.visits or (one.visits == two.visits and one.mean_s < two.mean_s)
 
 
 def edges_of(tree: Tree, node: int) -> list[int]:
@@ -224,18 +288,21 @@ def edges_of(tree: Tree, node: int) -> list[int]:
 
 
 def mean_cost_s(tree: Tree, edge: int) -> float:
-    """Return the mean cost of the samples through an edge."""
-    return float(tree.edges[edge].total_s / tree.edges[edge].visits)
+    """Return the mean cost of an edge, as it was backed up."""
+    return float(tree.edges[edge].mean_s)
 
 
-def most_visited(tree: Tree, node: int) -> int:
-    """Return the most visited edge, or NONE at a leaf.
+def best_of(tree: Tree, edges: list[int]) -> int:
+    """Return the most visited of the edges, or NONE if there are none.
 
     Of equally visited edges, take the one with the least mean cost.
     """
-    return min(
-        edges_of(tree, node), key=lambda edge: (-int(tree.edges[edge].visits), mean_cost_s(tree, edge)), default=NONE
-    )
+    return min(edges, key=lambda edge: (-int(tree.edges[edge].visits), mean_cost_s(tree, edge)), default=NONE)
+
+
+def most_visited(tree: Tree, node: int) -> int:
+    """Return a node's most visited edge, or NONE at a leaf; see `best_of`."""
+    return best_of(tree, edges_of(tree, node))
 
 
 def is_settled(tree: Tree, deciders: int, samples_left: int) -> bool:
@@ -260,8 +327,8 @@ def root_statistics(
     """Return `PlanInfo.root`; ``assignment`` translates the tree's actions."""
     rows = []
     for edge in sorted(edges_of(tree, 0), key=lambda edge: -tree.edges[edge].visits):
-        mean_s = mean_cost_s(tree, edge)
-        variance = max(float(tree.edges[edge].squares / tree.edges[edge].visits) - mean_s**2, 0.0)
         action, visits = int(tree.edges[edge].action), int(tree.edges[edge].visits)
-        rows.append((assignment(action), visits, mean_s, math.sqrt(variance)))
+        sampled_s = float(tree.edges[edge].total_s) / visits
+        variance = max(float(tree.edges[edge].squares) / visits - sampled_s**2, 0.0)
+        rows.append((assignment(action), visits, mean_cost_s(tree, edge), math.sqrt(variance)))
     return tuple(rows)

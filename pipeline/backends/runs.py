@@ -161,7 +161,7 @@ def check_store(config: Config) -> None:
 
 def is_new(uri: str) -> bool:
     """Tell whether opening the store would make its file."""
-    return uri.startswith(SQLITE) and not database_file(uri).is_file()
+    return uri.startswith(SQLITE) and not database_file(uri).exists()
 
 
 @contextlib.contextmanager

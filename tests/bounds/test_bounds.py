@@ -13,7 +13,7 @@ from mrtask.planning.clairvoyant import clairvoyant_s
 from mrtask.planning.solver_belief import belief_of, draw_worlds
 from tests.bounds.enumeration import all_worlds
 from tests.bounds.tightness import ROUNDING, gaps
-from tests.planning.exact_solver import ExactSolver
+from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import make_problem, random_problem, tiny_problem
 
 
@@ -73,7 +73,7 @@ def test_the_clairvoyant_makespan_is_the_optimum_of_the_problem_with_everything_
                 replace(robot, travel_s=row) for robot, row in zip(known.robots, belief_of(known).start_s, strict=True)
             ),
         )
-        expected = ExactSolver(closed, closed.presence_prob).optimum()
+        expected = FastSolver(closed, closed.presence_prob).optimum()
         assert clairvoyant_s(belief_of(closed), world) == pytest.approx(expected)
 
 

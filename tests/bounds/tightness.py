@@ -13,7 +13,7 @@ from collections import defaultdict
 import numpy as np
 
 from tests.bounds.enumeration import mean_bounds
-from tests.planning.exact_solver import ExactSolver
+from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import tiny_problem
 
 ROUNDING = 1e-9
@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 def gaps(problem):
     """(bound, clairvoyant bound) as shares of the optimum, and whether the bound should be the optimum."""
     bound_s, clairvoyant_s, exact = mean_bounds(problem)
-    optimum_s = ExactSolver(problem, problem.presence_prob).optimum()
+    optimum_s = FastSolver(problem, problem.presence_prob).optimum()
     return bound_s / optimum_s, clairvoyant_s / optimum_s, exact
 
 

@@ -159,7 +159,7 @@ def test_bad_houses_are_refused_with_file_number_and_field(two_room_house, two_r
 
 @pytest.mark.parametrize("value", [None, 3, "house", [], {}, {"rooms": 5}, {"rooms": [None]}])
 def test_json_that_is_no_house(value):
-    with pytest.raises(HouseError, match="home 7"):
+    with pytest.raises(HouseError, match="line 8"):
         read(value, None)
 
 

@@ -13,7 +13,22 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 NEAR_M = 0.3
 
 
-class Rosbridge:
+class _Server:
+    """A WebSocket server on a free port, while its context is open; subclasses answer in ``_talk``."""
+
+    def _listen(self):
+        self.server = serve(self._talk, "127.0.0.1", 0)
+        self.port = self.server.socket.getsockname()[1]
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.server.shutdown()
+
+
+class Rosbridge(_Server):
     """Robots drive ``drive_s`` long, detect what lies near them, and abort the first goals of those in ``lame``.
 
     Args:
@@ -24,15 +39,7 @@ class Rosbridge:
         self.contents, self.drive_s, self.lame = contents, drive_s, set(lame)
         self.received, self.results = [], []
         self.places, self.topics, self.cancelled = {}, set(), set()
-        self.server = serve(self._talk, "127.0.0.1", 0)
-        self.port = self.server.socket.getsockname()[1]
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.server.shutdown()
+        self._listen()
 
     def goals(self):
         return [message for message in self.received if message["op"] == "send_action_goal"]
@@ -84,21 +91,13 @@ class Rosbridge:
                         connection.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
 
 
-class Answers:
+class Answers(_Server):
     """A server that answers with these messages, once, after an operation was asked for so many times."""
 
     def __init__(self, answers, after="send_action_goal", times=1):
         self.answers, self.after, self.times = answers, after, times
         self.received = []
-        self.server = serve(self._talk, "127.0.0.1", 0)
-        self.port = self.server.socket.getsockname()[1]
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.server.shutdown()
+        self._listen()
 
     def _talk(self, connection):
         with suppress(ConnectionClosed):

@@ -19,9 +19,9 @@ SAYS = {
     "report": ("on 24 episodes is up to date",),
     "realism": ("would make or read procthor homes", "there already: 24 homes", "would compare them"),
     "housekeep": ("would train frequency on human",),
-    "ablation": ("would compare 2 arms in 1 evaluations", "no episode was written"),
-    "sensitivity": ("would compare 2 arms in 1 evaluations", "no episode was written"),
-    "priors": ("would compare 1 arms in 1 evaluations", "no episode was written"),
+    "ablation": ("would compare 2 arms in 1 evaluation", "no episode was written"),
+    "sensitivity": ("would compare 2 arms in 1 evaluation", "no episode was written"),
+    "priors": ("would compare 1 arm in 1 evaluation", "no episode was written"),
     "optimality": ("would assess 3 trials, each in 2 worlds", "0 are done"),
     "replay": ("would replay trial small-1-000 by pouct, nonlearned_myopic",),
 }

@@ -59,7 +59,9 @@ def test_an_episode_that_raises_is_a_row_with_its_traceback(workspace: Workspace
     assert "(unchanged, skipped)" in kept.out
     for said in (kept.out, cli("report", "output_dir=outputs/faulty", cwd=workspace.path).out):
         [last] = [line for line in said.splitlines() if "without a result" in line]
-        assert last.endswith("6 of 24 episodes without a result: 6 error (mostly: ValueError: this planner has a bug)")
+        assert last.endswith(
+            "6 of 24 episodes without a result: 6 error (mostly: RuntimeError: this planner has a bug)"
+        )
     again = cli("evaluate", *common, "evaluation.rerun=[error]", cwd=workspace.path)
     assert "there already: 18 episodes" in again.out
     assert cli("report", "output_dir=outputs/faulty", cwd=workspace.path).code == 0
@@ -72,7 +74,7 @@ def test_a_planner_that_never_succeeds_ends_the_run_with_an_error(workspace: Wor
         done = cli(stage, *common, "output_dir=outputs/never", cwd=workspace.path)
         assert done.code == 2, "however often the command is given"
         assert done.err.startswith(f"error: no episode was accepted of {OWN}.Faulty (of 6); the rows")
-        assert "Faulty 0/6" in " ".join(done.out.split()) and "6 error (mostly: ValueError: this planner" in done.out
+        assert "Faulty 0/6" in " ".join(done.out.split()) and "6 error (mostly: RuntimeError: this planner" in done.out
     assert (workspace.path / "outputs" / "never" / "report" / "index.html").is_file()
     other = cli(
         "evaluate", *workspace.overrides, "evaluation.robots=[2]", "output_dir=outputs/never", cwd=workspace.path

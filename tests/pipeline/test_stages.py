@@ -107,8 +107,9 @@ def test_mlflow_has_dataset_model_and_report(workspace: Workspace) -> None:
     assert metrics["pouct/all/percent_better_than_nonlearned_myopic"] == pytest.approx(
         100 * (1 - overall["pouct"] / overall["nonlearned_myopic"])
     )
-    low, high = (metrics[f"pouct/all/percent_better_than_nonlearned_myopic_{end}"] for end in ("low", "high"))
-    assert low < metrics["pouct/all/percent_better_than_nonlearned_myopic"] < high
+    assert "pouct/all/percent_better_than_nonlearned_myopic_low" not in metrics, (
+        "nine homes are too few for an interval"
+    )
     assert metrics["pouct/all/decision_s"] > 0
     assert evaluated.info.run_name == "paper" and "" not in evaluated.data.tags.values()
     assert evaluated.data.tags["mlflow.note.content"].startswith("Over ")
@@ -334,8 +335,8 @@ def test_house_files_that_are_none_are_refused(cli: Cli, tmp_path: Path) -> None
         ("gone.jsonl", ["no such file", "gone.jsonl"]),
         ("cut.jsonl.gz", ["cut.jsonl.gz"]),
         ("bare.jsonl", ["bare.jsonl, line 1", "no container"]),
-        ("other.jsonl", ["other.jsonl, home 0", "rooms"]),
-        ("text.jsonl", ["text.jsonl, home 0"]),
+        ("other.jsonl", ["other.jsonl, line 1", "rooms"]),
+        ("text.jsonl", ["text.jsonl, line 1"]),
     ]:
         done = cli("homes", *HOUSES, f"homes.files=[{name}]")
         assert done.code == 2, name
@@ -354,18 +355,18 @@ def test_faulty_homes_are_left_out_and_counted_where_that_is_asked_for(cli: Cli,
     options = [*HOUSES, "homes.files=[some.jsonl]"]
     refused = cli("homes", *options)
     assert refused.code == 2
-    assert "some.jsonl, home 1: rooms" in refused.err and "homes.skip_faulty=true" in refused.err
+    assert "some.jsonl, line 2: rooms" in refused.err and "homes.skip_faulty=true" in refused.err
     done = cli("homes", *options, "homes.skip_faulty=true")
     assert done.code == 0, done.err
-    assert "faulty homes left out: 2; the first: some.jsonl, home 1: rooms" in done.out
+    assert "faulty homes left out: 2; the first: some.jsonl, line 2: rooms" in done.out
     [folder] = (tmp_path / "datasets" / "homes").iterdir()
     manifest = homes_manifest(folder)
     assert (manifest.homes, manifest.skipped) == (3, 2)
-    assert [fault.partition(": ")[0] for fault in manifest.faults] == ["some.jsonl, home 1", "some.jsonl, home 4"]
+    assert [fault.partition(": ")[0] for fault in manifest.faults] == ["some.jsonl, line 2", "some.jsonl, line 5"]
     write_houses(tmp_path / "none.jsonl", [{"name": "no house"}])
     none = cli("homes", *HOUSES, "homes.files=[none.jsonl]", "homes.skip_faulty=true")
     assert none.code == 2
-    assert "no home can be used, all 1 are faulty; the first: none.jsonl, home 0" in none.err
+    assert "no home can be used, all 1 are faulty; the first: none.jsonl, line 1" in none.err
 
 
 def test_floor_plans_are_drawn(workspace: Workspace, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:

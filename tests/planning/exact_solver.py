@@ -45,16 +45,19 @@ class State:
 class ExactSolver:
     """``value(joint)`` gives the expected makespan of a first joint action, ``optimum()`` the least."""
 
-    def __init__(self, problem, prob, reassign_all=True):
+    def __init__(self, problem, prob, reassign_all=True, decide_all=None):
         self.problem, self.prob = problem, prob
         automaton = problem.automaton
         states, objects = automaton.transitions.shape
         self.delta = automaton.transitions
         self.accepting = automaton.accepting
         self.advancing = [frozenset(o for o in range(objects) if automaton.advancing[z, o]) for z in range(states)]
-        self.safe = [
+        self.harmless = [
             frozenset(o for o in self.advancing[z] if automaton.includes[self.delta[z, o], z]) for z in range(states)
         ]
+        if decide_all is None:
+            decide_all = problem.interact_time_s > 0
+        self.safe = [frozenset()] * states if decide_all else self.harmless  # the automatic interactions
         self.steps = automaton.steps_to_accept
         self.needed = [self._needed(z, set()) for z in range(states)]
         self.travel = problem.travel_s

@@ -14,10 +14,10 @@ import time
 import numpy as np
 
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import ANY_SAFE, WAIT
+from mrtask.planning.problem import WAIT
 from mrtask.planning.team_model import stuck_penalty_s
 from tests.planning.exact_paper_solver import ExactPaperSolver
-from tests.planning.exact_solver import ExactSolver
+from tests.planning.fast_solver import FastSolver
 from tests.planning.problems import tiny_problem
 
 EXACT = 0.01
@@ -32,7 +32,7 @@ def exact_solver(name, problem, exists=False):
     """The solver of a planner's own abstraction."""
     if name == "pouct_paper":
         return ExactPaperSolver(problem, stuck_penalty_s(problem), exists)
-    return ExactSolver(problem, problem.presence_prob)
+    return FastSolver(problem, problem.presence_prob)
 
 
 def first_actions(name, plan):
@@ -41,7 +41,7 @@ def first_actions(name, plan):
     for robot, (container, interaction) in plan.assignments.items():
         if container == WAIT:
             joint[robot] = WAIT
-        elif name == "pouct" and interaction == ANY_SAFE:
+        elif name == "pouct" and interaction < 0:
             joint[robot] = container
         else:
             joint[robot] = (container, interaction)

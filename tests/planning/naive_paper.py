@@ -409,7 +409,7 @@ class NaiveRollouts:
 
     def __init__(self, search):
         self.search = search
-        self.twin = NaivePouct(search.problem, team_model(search.problem).prob, 0, PouctOptions())
+        self.twin = NaivePouct(search.problem, team_model(search.problem).prob, 0, PouctOptions(), decide_all=False)
         self.twin.random = search.random
 
     def rest_s(self, belief):

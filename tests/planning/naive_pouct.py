@@ -9,6 +9,8 @@ from math import inf, log, prod, sqrt
 
 import numpy as np
 
+from mrtask.planning.pouct import LEAST_VISITS
+from mrtask.planning.pouct_kernel import TIE_S
 from tests.planning.exact_solver import WAIT, ExactSolver
 from tests.planning.naive_random import SplitMix64
 
@@ -18,13 +20,23 @@ class Node:
     robot: int
     visits: int = 0
     edges: list = field(default_factory=list)
+    passed: float = 0.0  # visits times the mean cost of the most visited edge
+
+    def value(self):
+        """The mean cost of the most visited edge."""
+        return min(self.edges, key=lambda edge: (-len(edge.costs), edge.mean)).mean
 
 
 @dataclass
 class Edge:
     action: object  # container, WAIT or (container, object): see `NaivePouct.resolve`
-    costs: list = field(default_factory=list)
+    costs: list = field(default_factory=list)  # of all samples
+    total: float = 0.0  # of the costs, as if samples through a child had taken the child's most visited edge
     children: dict = field(default_factory=dict)
+
+    @property
+    def mean(self):
+        return self.total / len(self.costs)
 
 
 def worth_doing(problem):
@@ -54,8 +66,8 @@ def worth_doing(problem):
 
 
 class NaivePouct(ExactSolver):
-    def __init__(self, problem, prob, seed, options):
-        super().__init__(problem, prob, options.reassign == "all")
+    def __init__(self, problem, prob, seed, options, decide_all=None):
+        super().__init__(problem, prob, options.reassign == "all", decide_all)
         self.random = SplitMix64(seed)
         self.options = options
         self.costs, self.spreads, self.spread = [], [0.0], 1.0
@@ -70,19 +82,20 @@ class NaivePouct(ExactSolver):
         return self.tree
 
     def sample(self):
-        state, node, path = self.root, self.tree, []
+        state, node, path, at_root = self.root, self.tree, [], True
         while True:
-            edge = self.select(state, node)
+            edge = self.select(state, node, at_root)
             node.visits += 1
             if edge is None:
                 state = self.rollout(state)
                 break
-            path.append(edge)
+            path.append((node, edge))
             before = state
             state = self._act(state, node.robot, self.resolve(state, node.robot, edge.action))
             observed = None
             if not state.undecided:
                 state, done = self.unfold(state)
+                at_root = False
                 observed = tuple(after for now, after in zip(before.held, state.held, strict=True) if now is None)
                 if done:
                     break
@@ -98,10 +111,14 @@ class NaivePouct(ExactSolver):
         if len(self.costs) > 1:
             self.spreads.append(float(np.std(self.costs)))
             self.spread = max(self.spreads)
-        for edge in path:
+        gained = cost
+        for at, edge in reversed(path):
             edge.costs.append(cost)
+            edge.total += gained
+            passed = at.visits * at.value()
+            gained, at.passed = passed - at.passed, passed
 
-    def select(self, state, node):
+    def select(self, state, node, at_root):
         options = self.options
         if not node.edges or len(node.edges) < options.widening_factor * node.visits**options.widening_exponent:
             action = self.next_action(state, node)
@@ -110,11 +127,18 @@ class NaivePouct(ExactSolver):
                 node.edges.append(Edge(action))
                 return node.edges[-1]
 
-        def bound(edge):
-            radius = options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
-            return sum(edge.costs) / len(edge.costs) - radius
+        least = min(reversed(node.edges), key=lambda edge: len(edge.costs), default=None)
+        if at_root and least is not None and len(least.costs) < LEAST_VISITS * sqrt(node.visits):
+            return least
 
-        return min(reversed(node.edges), key=bound, default=None)
+        def bound(edge):
+            return edge.mean - options.exploration * self.spread * sqrt(log(node.visits + 1) / len(edge.costs))
+
+        best, least = None, inf
+        for edge in reversed(node.edges):
+            if bound(edge) < least - TIE_S:
+                best, least = edge, bound(edge)
+        return best
 
     def next_action(self, state, node):
         tried = {edge.action for edge in node.edges}
@@ -183,7 +207,7 @@ class NaivePouct(ExactSolver):
                 other = robot.action[1]
             if other in self.advancing[state.z]:
                 after = int(self.delta[state.z, other])
-                if other not in self.safe[state.z] or o not in self.nearer[after]:
+                if other not in self.harmless[state.z] or o not in self.nearer[after]:
                     return True
         return False
 

@@ -47,6 +47,14 @@ def test_planners_do_not_undo_what_they_did(formula, name):
     assert played.accepted and played.decisions <= 8
 
 
+@pytest.mark.parametrize("number", [678, 1122, 2030])
+def test_detours_that_cost_no_time_come_to_an_end(number):
+    """Where a robot stands, one interaction leads away from acceptance and another one back."""
+    problem, truth = problem_of(number, random_task(number))
+    for name in ("pouct", "known"):
+        assert Play(problem, truth).run(make_planner(name, OPTIONS[name])).accepted
+
+
 def test_interactions_that_only_lead_back_are_the_brute_force_solutions():
     found = 0
     for number in range(150):

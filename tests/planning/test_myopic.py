@@ -61,6 +61,19 @@ def test_baselines_remember_an_object_until_its_turn():
     assert make_planner("nonlearned_myopic").plan(later, 0).assignments == {0: Assignment(0, 1)}
 
 
+@pytest.mark.parametrize("name", ["nonlearned_myopic", "learned_myopic"])
+def test_an_interaction_that_can_hurt_is_made_while_no_other_is_under_way(name):
+    # After `a`, the next letter is `b` or `c`, and then `d`: of `b` and `c`, the second would undo the first.
+    names, prob = ["a", "b", "c", "d"], np.eye(4)
+    points = [[0, 0], [2, 0], [9, 0], [5, 5]]
+    problem = make_problem("F (a & X ((b | c) & X d))", names, points, [[1, 0], [7, 0]], prob, searched=range(4))
+    problem = replace(problem, state=problem.automaton.run(["a"]))
+    assert make_planner(name).plan(problem, 0).assignments == {0: Assignment(1, 1), 1: Assignment(WAIT)}
+    kept = replace(problem.robots[0], free=False, target=1, interaction=1, remaining_s=1.0)
+    under_way = replace(problem, robots=(kept, problem.robots[1]), may_redirect=False)
+    assert make_planner(name).plan(under_way, 0).assignments == {1: Assignment(WAIT)}
+
+
 def test_robots_without_a_container_wait():
     problem = line_problem(searched=[0, 1], presence_prob=np.array([[0, 0], [0, 0], [0.5, 0.5]]))
     plan = make_planner("nonlearned_myopic").plan(problem, 0)

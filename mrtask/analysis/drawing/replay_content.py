@@ -16,7 +16,6 @@ from mrtask.arrays import Bools, Floats
 from mrtask.execution.trace import Trace
 from mrtask.homes.home import Home, Point
 from mrtask.planning.problem import (
-    ANY_SAFE,
     WAIT,
     Assignment,
     Plan,
@@ -308,4 +307,4 @@ def _told(assignment: Assignment, names: Sequence[str], objects: Sequence[str]) 
     if assignment.container == WAIT:
         return "wait"
     name = names[assignment.container]
-    return name if assignment.interaction == ANY_SAFE else f"{name} for {objects[assignment.interaction]}"
+    return name if assignment.interaction < 0 else f"{name} for {objects[assignment.interaction]}"

@@ -10,7 +10,8 @@ import pandas as pd
 
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.report_data import ReportData
-from mrtask.analysis.report.run_facts import Fact, Manifest, part
+from mrtask.analysis.report.run_facts import Fact
+from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.published import Published
 from mrtask.analysis.results.roles import BASELINES
 from mrtask.analysis.results.statistics import Summary

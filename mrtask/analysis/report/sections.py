@@ -26,7 +26,6 @@ from mrtask.analysis.report.planner_table import planner_table
 from mrtask.analysis.report.planner_words import describe_planners, homes_sentence, model_sentence, protocol
 from mrtask.analysis.report.reliability import draw_reliability
 from mrtask.analysis.report.report_data import ReportData
-from mrtask.analysis.report.run_facts import part
 from mrtask.analysis.report.trial_browser import (
     PLOT_BOTTOM,
     PLOT_LEFT,
@@ -38,6 +37,7 @@ from mrtask.analysis.report.trial_browser import (
     place,
 )
 from mrtask.analysis.report.wins import draw_wins, pair_table
+from mrtask.analysis.results.manifest import part
 from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
 from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P, home_repeats, homes_of
 from mrtask.names import counted

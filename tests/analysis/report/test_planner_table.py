@@ -19,8 +19,10 @@ from mrtask.planning.planners import (
 
 @pytest.fixture
 def extended(monkeypatch):
-    monkeypatch.setitem(PLANNERS, "paper_text", PlannerEntry(Greedy, Role.REFERENCE, published_as=PAPERS_PLANNER))
-    monkeypatch.setitem(PLANNERS, "lower_bound", PlannerEntry(Greedy, Role.BOUND))
+    monkeypatch.setitem(
+        PLANNERS, "paper_text", PlannerEntry("greedy.Greedy", Role.REFERENCE, published_as=PAPERS_PLANNER)
+    )
+    monkeypatch.setitem(PLANNERS, "lower_bound", PlannerEntry("greedy.Greedy", Role.BOUND))
 
 
 def test_a_new_entry_is_ordered_compared_and_drawn(extended):

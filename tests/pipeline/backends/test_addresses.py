@@ -10,7 +10,7 @@ import pytest
 from pipeline.backends import addresses, runs
 from tests.pipeline.harness import Cli
 
-CASES = Path("/work/shared/cases/mlflow-store-errors")
+CASES = Path(__file__).resolve().parents[4] / "shared" / "cases" / "mlflow-store-errors"
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_a_database_whose_driver_is_missing() -> None:
     [
         ("http://me:secret@host:5000/runs?token=secret", "http://host:5000/runs"),
         ("postgresql+psycopg2://me@host/runs", "postgresql+psycopg2://host/runs"),
-        ("sqlite:////work/a@b.db", "sqlite:////work/a@b.db"),
+        ("sqlite:////data/a@b.db", "sqlite:////data/a@b.db"),
     ],
 )
 def test_addresses_are_printed_without_secrets(uri: str, printed: str) -> None:

@@ -140,7 +140,7 @@ def test_the_report_gets_plain_facts() -> None:
     assert (facts["homes"]["containers"], facts["homes"]["reachable_share"]) == (40, 0.75)
     assert facts["stages"] == {"homes": 1.5}
     elsewhere = manifest(None).facts()
-    assert elsewhere["model"] == {"name": "likelihood", "version": "3"}
+    assert elsewhere["model"] == {"name": "likelihood", "version": "3", "champion_version": None}
     assert elsewhere["homes"]["training"] is None and "stages" not in elsewhere
 
 
