@@ -16,8 +16,11 @@ class InputError(ValueError):
     """A wrong file, name, formula, option or machine.
 
     The message says what is wrong, what is allowed and what to change. A program shows it without a traceback; every
-    other exception is a bug.
+    other exception is a bug. As text it has no secrets of addresses.
     """
+
+    def __str__(self) -> str:
+        return without_secrets(super().__str__())
 
 
 def without_secrets(text: str) -> str:

@@ -54,6 +54,8 @@ HARD_LIMIT_GRACE_S = 60.0
 """A task that does not react to its time limit (a hang in compiled code) has its worker killed after this much more."""
 EXCEPTION_RETRIES = 1
 CONNECT_TIMEOUT_S = 5.0
+LOCAL = "local"
+"""The address that stands for this machine's cores."""
 COMPARING = worker_code.__module__
 """The module whose ``differences_in_code`` workers call."""
 ADDRESSES = "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
@@ -180,6 +182,8 @@ class Pool(AbstractContextManager["Pool"]):
 
     def _joined(self) -> Nodes:
         if self._nodes is None:
+            if self._cluster.address == LOCAL:
+                _keep_to_this_machine()
             if not ray.is_initialized():
                 _start(self._cluster)
                 self._owns_ray = True
@@ -435,10 +439,9 @@ def _time_limit(seconds: float | None) -> Iterator[None]:
 
 def _start(cluster: Cluster) -> None:
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
-    if cluster.address == "local":
+    if cluster.address == LOCAL:
         cpus = cluster.cpus or len(os.sched_getaffinity(0))
         options |= {"num_cpus": cpus, "include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES}
-        _keep_to_this_machine()
     elif cluster.address != "auto":
         _check_reachable(cluster.address)
     _keep_token_private()
@@ -456,12 +459,9 @@ def _start(cluster: Cluster) -> None:
 def _keep_to_this_machine() -> None:
     """Have Ray listen on the loopback alone, and answer only those who know a token of this run's.
 
-    Ray does so where it cannot form clusters (Windows, macOS), and has no other switch for it.
+    Ray reads the variable when it is imported: where a program has imported it before, it listens on all addresses.
     """
-    import ray._private.ray_constants as constants
-
-    constants.ENABLE_RAY_CLUSTER = False
-    os.environ[constants.ENABLE_RAY_CLUSTERS_ENV_VAR] = "0"  # for the processes that it starts
+    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # it has the same effect on Linux
     if not os.environ.get("RAY_AUTH_MODE"):  # unset, Ray asks for a token where it finds one
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 

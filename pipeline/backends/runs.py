@@ -40,7 +40,6 @@ from pipeline.backends.addresses import (
     UnusableError,
     check_usable,
     database_file,
-    shown,
 )
 from pipeline.base import console
 from pipeline.base.config import Config, UserError
@@ -104,7 +103,7 @@ def open_tracking(uri: str, experiment: str) -> Tracking:
         found = _experiment(uri, experiment, location, lock_path)
     except (*_FAULTS, UnusableError, OSError) as error:
         raise TrackingError(
-            f"tracking.uri={shown(uri)}: MLflow's store cannot be opened or made there: {_first_line(error)}"
+            f"tracking.uri={uri}: MLflow's store cannot be opened or made there: {_first_line(error)}"
         ) from error
     if location and found.artifact_location != location:
         raise TrackingError(
@@ -203,7 +202,7 @@ def run(
 
 
 def _failed(tracking: Tracking, error: BaseException) -> TrackingError:
-    return TrackingError(f"tracking.uri={shown(tracking.uri)}: MLflow's store failed: {_first_line(error)}")
+    return TrackingError(f"tracking.uri={tracking.uri}: MLflow's store failed: {_first_line(error)}")
 
 
 class SweepRecord:

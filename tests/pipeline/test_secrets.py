@@ -4,11 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from mrtask.errors import refuse, without_secrets
+from mrtask.errors import InputError, refuse, without_secrets
 from pipeline.backends import runs
 from tests.pipeline.harness import Cli, Workspace
 
 SECRET = "s3cret"
+PLAIN = ("http://host:5000/a", "s3://bucket/run", "sqlite:////data/a@b.db", "models:/m@champion", "a@b, F Mug@Sink")
 TRACKING = f"postgresql://bob:{SECRET}@db.example.org/mlflow?sslmode=require&password={SECRET}"
 
 
@@ -19,10 +20,7 @@ TRACKING = f"postgresql://bob:{SECRET}@db.example.org/mlflow?sslmode=require&pas
         ("http://u:p/w@@host:5000/x", "http://***@host:5000/x"),
         ("https://token@host/a", "https://***@host/a"),
         ("https://host/a?X-Amz-Signature=ab&part=1", "https://host/a?X-Amz-Signature=***&part=1"),
-        *(
-            (plain, plain)
-            for plain in ("http://host:5000/a", "s3://bucket/run", "models:/m@champion", "a@b, F Mug@Sink")
-        ),
+        *((plain, plain) for plain in PLAIN),
     ],
 )
 def test_secrets_of_addresses_are_left_out(address: str, shown: str) -> None:
@@ -30,8 +28,10 @@ def test_secrets_of_addresses_are_left_out(address: str, shown: str) -> None:
 
 
 def test_errors_show_no_secrets(capsys: pytest.CaptureFixture[str]) -> None:
-    refuse(f"tracking.uri={TRACKING}: cannot be opened ({TRACKING})")
+    said = f"tracking.uri={TRACKING}: cannot be opened ({TRACKING})"
+    refuse(said)
     assert SECRET not in capsys.readouterr().err
+    assert SECRET not in str(InputError(said))
 
 
 def test_a_sweep_with_a_password_in_its_address_leaves_it_nowhere(
