@@ -55,6 +55,7 @@ def commands() -> Mapping[str, Command]:
             f"{package}.champion",
             ("omegaconf", "mlflow"),
         ),
+        "clean": Command("removes what runs left here, showing it first", f"{package}.clean", ("omegaconf",)),
         "score": Command("scores a planner on a suite of trials that never changes", "mrtask.suite.score"),
         "doctor": Command("checks this machine and says what to do", "mrtask.doctor"),
     }

@@ -12,6 +12,7 @@ A Ray task costs some milliseconds of CPU time whatever it does, so short items 
 
 import os
 import secrets
+import shutil
 import signal
 import socket
 import time
@@ -153,12 +154,15 @@ class Pool(AbstractContextManager["Pool"]):
         self._cluster = cluster
         self._nodes: Nodes | None = None
         self._owns_ray = False
+        self._session: Path | None = None
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._owns_ray:
             ray.shutdown()
+        if self._session is not None:
+            shutil.rmtree(self._session, ignore_errors=True)
 
     def start(self) -> None:
         """Connect now, so that an unusable cluster is reported before there is anything to undo."""
@@ -185,7 +189,7 @@ class Pool(AbstractContextManager["Pool"]):
             if self._cluster.address == LOCAL:
                 _keep_to_this_machine()
             if not ray.is_initialized():
-                _start(self._cluster)
+                self._session = _start(self._cluster)
                 self._owns_ray = True
             self._nodes = Nodes(self._cluster)
         return self._nodes
@@ -437,7 +441,8 @@ def _time_limit(seconds: float | None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _start(cluster: Cluster) -> None:
+def _start(cluster: Cluster) -> Path | None:
+    """Start or join Ray; return the folder of logs that Ray makes for a session on this machine alone."""
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
     if cluster.address == LOCAL:
         cpus = cluster.cpus or len(os.sched_getaffinity(0))
@@ -446,7 +451,7 @@ def _start(cluster: Cluster) -> None:
         _check_reachable(cluster.address)
     _keep_token_private()
     try:
-        ray.init(address=cluster.address, **options)
+        context = ray.init(address=cluster.address, **options)
     except Exception as error:  # Ray raises a bare one where its start takes too long
         said = " ".join(str(error).split()).rstrip(".")
         raise UserError(
@@ -454,6 +459,7 @@ def _start(cluster: Cluster) -> None:
             "where the cluster asks for a token, set RAY_AUTH_MODE=token; where the start took too long, run it again"
         ) from error
     interrupt.rearm()  # Ray sets a handler of its own
+    return Path(context.address_info["session_dir"]) if cluster.address == LOCAL else None
 
 
 def _keep_to_this_machine() -> None:

@@ -26,6 +26,8 @@ from pipeline.base.config import UserError
 OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"}
 """They have no folders to make, and making a missing bucket would hide a misspelt name."""
 LOCK = ".lock"
+LOCKS = "locks"
+"""The folder in the cache with the locks of runs in stores."""
 LEASE_S = 60.0
 """A run that has not renewed its lock in a store for this long is dead."""
 RENEW_EVERY_S = 15.0
@@ -220,7 +222,7 @@ def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
             finally:
                 _remove_unused(path, new)
     else:
-        path = cache_dir / "locks" / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
+        path = cache_dir / LOCKS / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
         with _locked_file(path, folder), _leased(folder):
             yield
 

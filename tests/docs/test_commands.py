@@ -20,6 +20,7 @@ from hydra.core.override_parser.types import Override
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
+from pipeline import clean
 from pipeline.app.main import _for_hydra
 from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.tool import load_options, overrides
@@ -153,6 +154,8 @@ def _check(command: list[str], folder: Path) -> None:
         Request.parse(arguments[1:])
     elif program == "mrtask" and arguments[0] == "champion":
         assert all(one.isdecimal() for one in arguments[1:])
+    elif program == "mrtask" and arguments[0] == "clean":
+        clean._options(arguments[1:])
     elif program == "mrtask" and arguments[0] == "status":
         assert len(arguments) == 2
     elif program == "mrtask":

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -172,6 +173,7 @@ def rows_until_stopped(
     driver.send_signal(how)
     assert driver.wait(timeout=60) == (130 if how == signal.SIGTERM else -how)
     if how == signal.SIGTERM:
+        assert not list(Path(tempfile.gettempdir(), "ray").glob(f"session_*_{driver.pid}")), "Ray's logs stay"
         text = said.read_text()
         assert "interrupted; the same command continues from here" in text and "Traceback" not in text
     _, alive = psutil.wait_procs(children, timeout=20)
