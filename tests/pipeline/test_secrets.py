@@ -42,7 +42,7 @@ def test_a_sweep_with_a_password_in_its_address_leaves_it_nowhere(
     target = workspace.path / "outputs" / "secret"
     done = cli(
         "evaluate", *workspace.overrides, "-m", "evaluation.robots=[1],[2]", "evaluation.trials_per_cell=1",
-        f"'tracking.uri={TRACKING}'", f"output_dir={target}", cwd=workspace.path,
+        f"tracking.uri='{TRACKING}'", f"output_dir={target}", cwd=workspace.path,
     )  # fmt: skip
     assert done.code == 0, done.err
     assert SECRET not in done.out + done.err
