@@ -268,4 +268,4 @@ def check(config: Config) -> None:
         runs.check_store(config)
 
 
-STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE, side_by_side=True)

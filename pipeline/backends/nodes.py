@@ -5,6 +5,7 @@
 
 import math
 import socket
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -58,6 +59,7 @@ class Nodes:
         self._counted_s = -math.inf
         self._heard_s = self._had_slots_s = time.monotonic()
         self._silent = self._waiting = False
+        self._counting = threading.Lock()
         self._count()
 
     @property
@@ -107,6 +109,10 @@ class Nodes:
             HeadLost: the head has not answered for `HEAD_SILENT_S`.
             UserError: no node can be used.
         """
+        with self._counting:  # cells of a sweep may run in several threads
+            return self._recount()
+
+    def _recount(self) -> bool:
         if time.monotonic() - self._counted_s < RECOUNT_S:
             return not self._silent
         if not self.head_answers():

@@ -15,6 +15,7 @@ import secrets
 import shutil
 import signal
 import socket
+import threading
 import time
 import traceback
 from collections import deque
@@ -155,6 +156,8 @@ class Pool(AbstractContextManager["Pool"]):
         self._nodes: Nodes | None = None
         self._owns_ray = False
         self._session: Path | None = None
+        self._runs = 0
+        self._lock = threading.RLock()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -185,23 +188,25 @@ class Pool(AbstractContextManager["Pool"]):
         return max(0, self.slots - self._joined().free_cores)
 
     def _joined(self) -> Nodes:
-        if self._nodes is None:
-            if self._cluster.address == LOCAL:
-                _keep_to_this_machine()
-            if not ray.is_initialized():
-                self._session = _start(self._cluster)
-                self._owns_ray = True
-            self._nodes = Nodes(self._cluster)
-        return self._nodes
+        with self._lock:  # cells of a sweep may run in several threads
+            if self._nodes is None:
+                if self._cluster.address == LOCAL:
+                    _keep_to_this_machine()
+                if not ray.is_initialized():
+                    self._session = _start(self._cluster)
+                    self._owns_ray = True
+                self._nodes = Nodes(self._cluster)
+            return self._nodes
 
     @property
     def _most_in_flight(self) -> int:
-        """How many batches are sent at once: more than run, so that workers never idle and clusters that can grow do.
+        """How many batches a run sends at once: more than run, so that no worker idles and clusters that can grow do.
 
-        Where the cluster has more slots than this run may use, a waiting batch would run on one of the others.
+        Where the cluster has more slots than this run may use, a waiting batch would run on one of the others. Runs in
+        several threads share the slots.
         """
         alone = self.slots == self._joined().slots
-        return max(1, self.slots) * (IN_FLIGHT_PER_SLOT if alone else 1)
+        return max(1, self.slots * (IN_FLIGHT_PER_SLOT if alone else 1) // max(1, self._runs))
 
     def run(
         self,
@@ -232,6 +237,8 @@ class Pool(AbstractContextManager["Pool"]):
         source, again, pace = iter(items), deque[list[_Try[Item]]](), _Pace()
         in_flight: dict[Any, _Batch[Item]] = {}
         head_answers = True
+        with self._lock:
+            self._runs += 1
         try:
             while True:
                 interrupt.check()
@@ -261,6 +268,8 @@ class Pool(AbstractContextManager["Pool"]):
             head_answers = False
             raise
         finally:
+            with self._lock:
+                self._runs -= 1
             # Our own Ray ends with the process. It may abort when a task answers that was just cancelled (seen: exit
             # code 1, "Tried to complete task that was not pending").
             if head_answers and not (self._owns_ray and interrupt.requested()):

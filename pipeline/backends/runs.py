@@ -61,6 +61,10 @@ _KIND, _MODEL_TRAINING = "mlflow.experimentKind", "custom_model_development"
 """The tag by which MLflow's pages open on runs and models instead of on language models' traces."""
 
 
+_ENVIRONMENT = threading.Lock()
+"""Held by whoever changes the process's environment for a moment: cells of a sweep may run in several threads."""
+
+
 class TrackingError(UserError, ValueError):
     """MLflow's store cannot be used as configured."""
 
@@ -135,16 +139,17 @@ def _experiment(uri: str, name: str, location: str | None, lock_path: Path) -> E
 def _impatient() -> Iterator[None]:
     """Let a server's first answer take `FIRST_CONNECTION_S`; MLflow by itself would ask again for minutes."""
     limits = {"MLFLOW_HTTP_REQUEST_TIMEOUT": f"{FIRST_CONNECTION_S:.0f}", "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}
-    before = {name: os.environ.get(name) for name in limits}
-    os.environ.update(limits)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    with _ENVIRONMENT:
+        before = {name: os.environ.get(name) for name in limits}
+        os.environ.update(limits)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 def _first_line(error: BaseException) -> str:

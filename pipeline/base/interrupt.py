@@ -8,6 +8,7 @@ While a stage imports its libraries, which takes seconds, an interrupt just ends
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -41,7 +42,7 @@ def remembered() -> Iterator[None]:
 
 def rearm() -> None:
     """Handle SIGTERM again, if interrupts are remembered, after something else has taken it over."""
-    if signal.getsignal(signal.SIGINT) is _handle:
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is _handle:
         signal.signal(signal.SIGTERM, _handle)
 
 

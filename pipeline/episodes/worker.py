@@ -22,6 +22,7 @@ from mrtask.maps.home_map import HomeMap
 from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 
+CONTEXTS_KEPT = 8
 MAPS_KEPT = 8
 TRIALS_KEPT = 64
 
@@ -227,7 +228,7 @@ class Bench:
         )
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=CONTEXTS_KEPT)
 def bench_of(context: Context) -> Bench:
-    """Return the bench of a context; a worker keeps one at a time."""
+    """Return the bench of a context; a worker keeps those of the cells that run side by side."""
     return Bench(context)
