@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
@@ -218,6 +219,7 @@ def test_the_files_for_clusters_are_well_formed(tmp_path: Path) -> None:
     _check_overrides([one.replace("$address", "10.0.0.1:6379") for one in words if one != "$@"])
     before_ray, *_ = script.read_text().partition("ray start")
     assert "export RAY_AUTH_MODE=token RAY_AUTH_TOKEN\n" in before_ray
+    _check_the_array(ROOT / "docs" / "howto" / "cluster" / "slurm_array.sh", tmp_path)
     job = yaml.safe_load((ROOT / "docs" / "howto" / "cluster" / "kuberay.yaml").read_text())
     assert job["spec"]["rayClusterSpec"]["authOptions"] == {"mode": "token"}
     assert f"ray=={job['spec']['rayClusterSpec']['rayVersion']}\n" in (ROOT / "constraints.txt").read_text()
@@ -227,3 +229,28 @@ def test_the_files_for_clusters_are_well_formed(tmp_path: Path) -> None:
     groups = [job["spec"]["rayClusterSpec"]["headGroupSpec"], *job["spec"]["rayClusterSpec"]["workerGroupSpecs"]]
     images = {group["template"]["spec"]["containers"][0]["image"] for group in groups}
     assert len(images) == 1  # one version of mrtask everywhere
+
+
+def _check_the_array(script: Path, folder: Path) -> None:
+    """Run each job of the array with a command in mrtask's place that says what it was given."""
+    (folder / "bin").mkdir()
+    (folder / "bin" / "activate").write_text(f'PATH="{folder}/bin:$PATH"')
+    (folder / "bin" / "mrtask").write_text('#!/bin/bash\nprintf "%s\\n" "$@"')
+    (folder / "bin" / "mrtask").chmod(0o755)
+    last = int(re.findall(r"^#SBATCH --array=0-(\d+)$", script.read_text(), re.MULTILINE)[0])
+    cells = set()
+    for number in range(last + 1):
+        environment = {**os.environ, "MRTASK_VENV": str(folder), "SLURM_ARRAY_TASK_ID": str(number)}
+        job = ["bash", str(script), "seed=1"]
+        stage, flag, *overrides = subprocess.run(
+            job, env=environment, capture_output=True, text=True, check=True
+        ).stdout.splitlines()
+        assert (stage, flag, overrides[-1]) == ("evaluate", "-m", "seed=1")
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        assert [one.is_sweep_override() for one in parsed] == [True, True, False]
+        [values] = BasicSweeper.split_arguments(parsed, max_batch_size=None)
+        _check_overrides(values[0])
+        cells.add(tuple(values[0]))
+    assert len(cells) == last + 1
+    one_more = {**environment, "SLURM_ARRAY_TASK_ID": str(last + 1)}
+    assert subprocess.run(["bash", str(script)], env=one_more, capture_output=True).returncode, "the array is too short"
