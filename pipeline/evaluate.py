@@ -43,6 +43,9 @@ from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdenti
 from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
 from pipeline.store.version import package_versions
 
+METRICS_ARTIFACT = "metrics.json"
+"""In MLflow: the table of all planners' metrics, where they are too many to be listed."""
+
 
 @dataclass(frozen=True)
 class EvaluateJob:
@@ -205,10 +208,13 @@ def _conclude(run: runs.Run, episodes: pd.DataFrame) -> None:
     # These import what draws; where every episode is there already, they are not needed.
     from mrtask.analysis.results.episodes import checked_episodes
     from mrtask.analysis.results.statistics import summarise
-    from pipeline.episodes.metrics import headline_of, metrics_of
+    from pipeline.episodes.metrics import headline_of, metrics_of, most_telling, table_of
 
     summary = summarise(checked_episodes(episodes))
-    runs.log_metrics(run, metrics_of(summary))
+    listed = most_telling(summary)
+    runs.log_metrics(run, metrics_of(summary, listed))
+    if len(listed) < len(summary.planners):
+        runs.log_table(run, table_of(summary), METRICS_ARTIFACT)
     runs.describe(run, headline_of(summary))
 
 
