@@ -25,7 +25,8 @@ def main(workspace: Path, gate: Gate, other_code: Path, *overrides: str) -> None
     os.chdir(workspace)
     gate.shut_after(6)
     head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_period_ms": CHECKED_EVERY_MS}}
-    cluster = Cluster(initialize_head=True, head_node_args=head)
+    # What Ray would do at exit needs signal handlers, which only the main thread can set; a node joins from another one.
+    cluster = Cluster(initialize_head=True, head_node_args=head, shutdown_at_exit=False)
     doomed = cluster.add_node(num_cpus=1)
     path = os.pathsep.join([str(other_code), os.environ["PYTHONPATH"]])
     cluster.add_node(num_cpus=1, env_vars={"PYTHONPATH": path})
@@ -52,8 +53,11 @@ def main(workspace: Path, gate: Gate, other_code: Path, *overrides: str) -> None
     saboteur = threading.Thread(target=lose_one_and_add_one, daemon=True)
     saboteur.start()
     on_cluster = ("cluster.address=auto", "cluster.memory_per_task_gb=0.1", "output_dir=outputs/cluster")
-    code = run_stage("evaluate", *overrides, *on_cluster)
-    saboteur.join(NOTICED_WITHIN_S)
+    try:
+        code = run_stage("evaluate", *overrides, *on_cluster)
+        saboteur.join(NOTICED_WITHIN_S)
+    finally:
+        cluster.shutdown()
     print(json.dumps(said))
     sys.exit(code)
 
