@@ -11,7 +11,10 @@ ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
 WORKDIR /mrtask
 
 COPY . .
-RUN make install
+# KubeRay runs `ray` and `mrtask` in a login shell, which knows no other PATH than the system's.
+RUN make install && .venv/bin/python -m uv pip install --python .venv/bin/python --constraint constraints.txt \
+        --editable '.[cluster,s3]' && \
+    ln -s /mrtask/.venv/bin/ray /mrtask/.venv/bin/mrtask /usr/local/bin/
 
 ENTRYPOINT ["make", "--no-print-directory"]
 CMD ["reproduce", "EXPERIMENT=smoke"]

@@ -69,5 +69,5 @@ dashboard: $(STAMP)  ## open MLflow on the runs and the registered models (http:
 
 PORT = $(or $(shell echo '$(ARGS)' | sed -n 's/.*--port[= ]*\([0-9]*\).*/\1/p'),5000)
 
-clean-cache:  ## remove cached maps, embeddings and compiled kernels
-	@$(BIN)/python -m pipeline.store.cache
+clean-cache:  ## remove the cache, and logs and locks of runs that have ended
+	@$(BIN)/python -m pipeline.clean really=true

@@ -49,6 +49,13 @@ def commands() -> Mapping[str, Command]:
     return {name: Command(text, f"{package}.{name}", STAGES_NEED) for name, text in STAGES.items()} | {
         "scenario": Command("runs one task on one map by every planner", f"{package}.scenario", ("omegaconf",)),
         "live": Command("plans for a team of real robots, from their events", f"{package}.live", ("omegaconf",)),
+        "status": Command("says how far a run is, from any machine", f"{package}.status", ("omegaconf", "pyarrow")),
+        "champion": Command(
+            "lists the models, or makes one the champion that evaluations use",
+            f"{package}.champion",
+            ("omegaconf", "mlflow"),
+        ),
+        "clean": Command("removes what runs left here, showing it first", f"{package}.clean", ("omegaconf",)),
         "score": Command("scores a planner on a suite of trials that never changes", "mrtask.suite.score"),
         "doctor": Command("checks this machine and says what to do", "mrtask.doctor"),
     }

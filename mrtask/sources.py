@@ -54,16 +54,17 @@ def hash_folders(*folders: str, root: Path = ROOT) -> str:
     return _hash(files, root)
 
 
-def hash_module(module: str, root: Path = ROOT) -> str:
+def hash_module(module: str, root: Path = ROOT, *, beside: bool = False) -> str:
     """Return 16 hex digits that hash the `module_files`, by path and content."""
-    return _hash(module_files(module, root), root)
+    return _hash(module_files(module, root, beside=beside), root)
 
 
-def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
+def module_files(module: str, root: Path = ROOT, *, beside: bool = False) -> frozenset[Path]:
     """Return the files that decide what a module (``mrtask.maps.home_map``) does.
 
-    These are its own files and those of all modules of the same package that it imports, directly or through others. A
-    data file named after a module (``catalogue.yaml`` of ``catalogue.py``) belongs to it.
+    These are its own files and those of all modules of the same package that it imports, directly or through others;
+    with ``beside``, also of other packages in ``root``. A data file named after a module (``catalogue.yaml`` of
+    ``catalogue.py``) belongs to it.
 
     Raises:
         ModuleNotFoundError: there is no such module below ``root``.
@@ -80,7 +81,7 @@ def module_files(module: str, root: Path = ROOT) -> frozenset[Path]:
         modules[name] = path
         within = name if path.stem == "__init__" else name.rpartition(".")[0]
         imported = {part for imported in _imports(path.read_bytes(), within) for part in _with_parents(imported)}
-        waiting |= {part for part in imported if part.partition(".")[0] == package}
+        waiting |= {part for part in imported if beside or part.partition(".")[0] == package}
     return frozenset(
         file for path in modules.values() for file in path.parent.glob(f"{path.stem}.*") if file.suffix in SUFFIXES
     )

@@ -12,6 +12,7 @@ if __name__ == "__main__":
     main("pipeline.evaluate")
 
 import contextlib
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from pipeline import report
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends import registry, runs
 from pipeline.base import console
-from pipeline.base.config import Config, UserError
+from pipeline.base.config import Config, UserError, content_hash
 from pipeline.base.specs import EvaluationSpec
 from pipeline.episodes import outcome
 from pipeline.episodes import plan as plans
@@ -41,6 +42,9 @@ from pipeline.store.layout import EPISODES, IDENTITY, MANIFEST, RUN_ID
 from pipeline.store.records import EvaluationManifest, Machine, Reach, RunIdentity
 from pipeline.store.rows import EpisodeWriter, read_episodes, read_table
 from pipeline.store.version import package_versions
+
+METRICS_ARTIFACT = "metrics.json"
+"""In MLflow: the table of all planners' metrics, where they are too many to be listed."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +93,20 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
         f"{product(total // planners, planners)}, model version {plan.identity.model_version}",
     )
     began_s, started, folder = time.monotonic(), datetime.now(UTC), Folder(spec.output_dir)
+    unsent = spec.homes.datasets_dir / "unsent" / content_hash([folder.location, plan.identity.content(())])
     if spec.overwrite:
         session.pool.start()  # an unusable cluster must not cost what is there
         layout.forget_episodes(folder)
+        shutil.rmtree(unsent, ignore_errors=True)
     cache.trim(spec.maps.cache_dir, spec.cache_limit_gb * 2**30)
     identity = _joined(folder, plan.identity)
     champion = _champion(plan)
     writer = EpisodeWriter(
-        folder / EPISODES, spec.options.rerun, plan.identity.row_keys(), lambda: identity.write(folder, IDENTITY)
+        folder / EPISODES,
+        spec.options.rerun,
+        plan.identity.row_keys(),
+        lambda: identity.write(folder, IDENTITY),
+        unsent,
     )
     finished = writer.finished()
     missing = plan.missing(finished)
@@ -112,7 +122,7 @@ def evaluate(plan: EvaluationPlan, session: Session) -> pd.DataFrame:
     session.pool.start()
     with _tracked(plan, folder, session.cell) as run:
         reach = map_homes(plan.context, session.pool)
-        run_episodes(plan, missing, session.pool, writer)
+        run_episodes(plan, missing, session.pool, writer, runs.LiveMetrics(run))
         manifest = _manifest(
             plan,
             identity,
@@ -198,10 +208,13 @@ def _conclude(run: runs.Run, episodes: pd.DataFrame) -> None:
     # These import what draws; where every episode is there already, they are not needed.
     from mrtask.analysis.results.episodes import checked_episodes
     from mrtask.analysis.results.statistics import summarise
-    from pipeline.episodes.metrics import headline_of, metrics_of
+    from pipeline.episodes.metrics import headline_of, metrics_of, most_telling, table_of
 
     summary = summarise(checked_episodes(episodes))
-    runs.log_metrics(run, metrics_of(summary))
+    listed = most_telling(summary)
+    runs.log_metrics(run, metrics_of(summary, listed))
+    if len(listed) < len(summary.planners):
+        runs.log_table(run, table_of(summary), METRICS_ARTIFACT)
     runs.describe(run, headline_of(summary))
 
 
@@ -261,4 +274,4 @@ def check(config: Config) -> None:
         runs.check_store(config)
 
 
-STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE)
+STAGE = Stage(lambda config: EvaluateJob(config.evaluation_spec()), check, compare=report.STAGE, side_by_side=True)

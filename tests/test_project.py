@@ -85,7 +85,7 @@ def test_forbidden_imports_are_noticed(tmp_path: Path) -> None:
         ("mrtask/analysis/studies/smuggler.py", "import mrtask.analysis.report.wins", "the analysis draws"),
         ("mrtask/analysis/report/smuggler.py", "import mrtask.analysis.studies.realism", "the analysis draws"),
         ("mrtask/maps/smuggler.py", "import mlflow", "the library knows nothing"),
-        ("pipeline/backends/smuggler.py", "import ray", "only pipeline.backends.pool knows ray"),
+        ("pipeline/backends/smuggler.py", "import ray", "only pipeline.backends' pool and nodes know ray"),
         ("pipeline/backends/smuggler.py", "import mlflow", "only pipeline.backends' runs, registry"),
         ("pipeline/store/layout.py", "import mrtask.analysis.report.report_page", "what is configured and kept"),
         ("mrtask/maps/cache.py", "import matplotlib", "workers start soon"),

@@ -12,10 +12,11 @@ import importlib
 import os
 import re
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from types import MappingProxyType
+from types import MappingProxyType, TracebackType
 from typing import NoReturn
 
 import hydra
@@ -25,7 +26,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
+from mrtask.errors import INTERRUPT_EXIT, InputError, refuse, without_secrets
 from mrtask.files import default_cache_dir
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
@@ -100,6 +101,7 @@ def _task(module_name: str) -> Callable[[DictConfig], None]:
 def _prepare_process(module_name: str, shorthands: Mapping[str, str]) -> None:
     # Exceptions reach `main` instead of being printed by Hydra.
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.excepthook = _print_exception
     sys.argv[1:] = [_for_hydra(argument) for argument in _flags_first(sys.argv[1:])]
     if not any(argument.startswith("hydra.mode=") for argument in sys.argv):
         # Hydra would compose the whole configuration twice, first only to look for this key, which ours does not set.
@@ -115,6 +117,11 @@ def _prepare_process(module_name: str, shorthands: Mapping[str, str]) -> None:
     ):
         OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
     OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
+
+
+def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print a bug's traceback as Python does, but for the secrets of addresses in it."""
+    print(without_secrets("".join(traceback.format_exception(kind, error, trace))), end="", file=sys.stderr)
 
 
 def _flags_first(arguments: Sequence[str]) -> list[str]:

@@ -57,6 +57,8 @@ class Stage:
     """When the stage holds ``output_dir``, so that no other run writes there: always, with ``draw=true``, never."""
     compare: "Stage | None" = None
     """Compares the cells of a sweep, from the sweep's configuration; for stages that leave episodes."""
+    side_by_side: bool = False
+    """Whether several cells of a sweep may run at once, in threads."""
 
     def start(self, config: Config, session: Session) -> None:
         """Check, then run the stage, or with ``dry_run=true`` say what it would do."""

@@ -1,7 +1,8 @@
 """Sweeps (``-m``): all cells are checked before the first one starts, each has its own folder and MLflow child run.
 
 A cell's results are in ``<output_dir>/cells/<its values>``; the report of ``<output_dir>`` compares the cells.
-Hydra runs the cells one after the other in this process.
+The first cell makes what all share: homes, model, maps, compiled kernels. Then, where the stage allows it, cells run
+side by side, in threads of this process, over the same workers.
 """
 
 import contextlib
@@ -9,10 +10,11 @@ import hashlib
 import re
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -22,12 +24,12 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrtask.errors import InputError, refuse
+from mrtask.errors import InputError, refuse, without_secrets
 from mrtask.names import counted
 from pipeline.app.stage import Cell, Session, Stage
 from pipeline.backends.pool import Pool
 from pipeline.base import config as schema
-from pipeline.base import console
+from pipeline.base import console, interrupt
 from pipeline.base.config import Config, UserError
 from pipeline.store.layout import CELLS
 
@@ -36,7 +38,11 @@ if TYPE_CHECKING:
 
 LONGEST_NAME = 120
 CONFIG_NAME = "config"
+HYDRAS_RECORD = "multirun.yaml"
 REFUSAL = "the sweep does not start:"
+MOST_AT_ONCE = 8
+"""How many cells run side by side at most: each takes memory, here and in workers."""
+WAIT_S = 1.0
 
 
 @dataclass
@@ -51,9 +57,12 @@ class Sweep:
     compare: Callable[[], None] | None = None
     """What the end of the sweep calls; set by a cell that leaves something to compare."""
     started: int = 0
-    failed: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    """The cells that failed, and why."""
     record: "SweepRecord | None" = None
     """Where MLflow keeps the sweep; begun before the first cell starts."""
+    _threads: ThreadPoolExecutor | None = None
+    _side_by_side: set[Future[None]] = field(default_factory=set)
 
     @property
     def whole(self) -> Config:
@@ -61,24 +70,35 @@ class Sweep:
         return next(iter(self.cells.values()))
 
     def run_cell(self, stage: Stage, config: Config, overrides: Sequence[str], pool: Pool) -> None:
-        """Run the stage in the cell's own output folder; note a user's mistake, so that the other cells still run."""
+        """Run the stage in the cell's own output folder, or begin to, beside other cells."""
         if self.started == 0:
             self._begin(stage)
         self.started += 1
         text = _text(overrides, self.swept)
-        console.headline(f"cell {self.started}/{len(self.cells)}", text)
         cell = Cell(text, _without_groups(text, self.swept), self.record.run_id if self.record else None)
+        run = partial(self._run, stage, config, Session(pool, cell), f"cell {self.started}/{len(self.cells)}")
+        if self.started == 1 or not stage.side_by_side or config.dry_run:
+            run()
+            return
+        if self._threads is None:
+            self._threads = ThreadPoolExecutor(max(1, min(pool.slots, MOST_AT_ONCE)))
+        self._side_by_side.add(self._threads.submit(console.labelled, cell.title, run))
+
+    def _run(self, stage: Stage, config: Config, session: Session, place: str) -> None:
+        """Run the stage for a cell; note a user's mistake, so that the other cells still run."""
+        cell = session.cell
+        console.headline(place, cell.text)
         try:
-            own_folder = {"output_dir": _cell_dir(config.output_dir, text)}
-            stage.start(config.model_copy(update=own_folder), Session(pool, cell))
+            own_folder = {"output_dir": _cell_dir(config.output_dir, cell.text)}
+            stage.start(config.model_copy(update=own_folder), session)
         except InputError as error:
-            self.failed.append(f"{text}: {error}")
+            self.failed[cell.text] = str(error)
             if self.record is not None:
                 self.record.note_failure(cell.text, cell.title, str(error))
             refuse(error)
         else:
             if stage.compare is not None and not config.dry_run:
-                whole = Session(pool, Cell(parent_run_id=cell.parent_run_id))
+                whole = Session(session.pool, Cell(parent_run_id=cell.parent_run_id))
                 self.compare = partial(stage.compare.start, self.whole, whole)
 
     def _begin(self, stage: Stage) -> None:
@@ -99,14 +119,37 @@ class Sweep:
             self.record = _record(self.whole, self.overrides)
 
     def end(self) -> None:
-        """Compare the cells, and say which failed."""
+        """Wait for the cells that run side by side, compare all, and say which failed."""
+        if self._threads is not None:
+            with self._threads as threads:
+                try:
+                    self._wait()
+                except BaseException:
+                    threads.shutdown(wait=False, cancel_futures=True)
+                    raise
         if self.compare is not None:
             self.compare()
         if self.failed:
             headline = f"{len(self.failed)} of {counted(len(self.cells), 'cell')} failed:"
-            sys.exit(refuse("\n".join([headline, *self.failed])))
+            reasons = (f"{cell}: {self.failed[cell]}" for cell in self.cells if cell in self.failed)
+            sys.exit(refuse("\n".join([headline, *reasons])))
         if self.record is not None:
             self.record.end(None)
+
+    def _wait(self) -> None:
+        """Wait until the cells have ended, with one progress line for all.
+
+        Raises:
+            Exception: what a cell raised that is no mistake of the user's; no further cell starts then.
+        """
+        waiting = self._side_by_side
+        with console.Progress(len(self.cells), "cells", len(self.cells) - len(waiting)) as progress:
+            while waiting:
+                ended, waiting = wait(waiting, WAIT_S, FIRST_COMPLETED)
+                for one in ended:
+                    one.result()
+                progress.update(len(ended), console.under_way())
+                interrupt.check()
 
 
 _sweep: Sweep | None = None
@@ -135,13 +178,18 @@ def sweep_dir(output_dir: str) -> str:
 
 
 class SweepCallback(Callback):
-    """Hydra calls this before the first and after the last cell."""
+    """Hydra calls this before the first cell, before each, and after the last one."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check every cell and open the sweep."""
         global _sweep
         with _errors_end_the_process():
             _sweep = _open(list(config.hydra.overrides.task))
+
+    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Take the secrets out of Hydra's record of the sweep, which it has written by now."""
+        if _sweep is not None:
+            _strip_secrets(Path(config.hydra.sweep.dir) / HYDRAS_RECORD)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Compare the cells."""
@@ -158,7 +206,7 @@ def _errors_end_the_process() -> Iterator[None]:
     except InputError as error:
         sys.exit(refuse(error))
     except Exception:
-        traceback.print_exc()
+        sys.excepthook(*sys.exc_info())
         sys.exit(1)
 
 
@@ -190,6 +238,12 @@ def _record(config: Config, overrides: Sequence[str]) -> "SweepRecord":
     from pipeline.backends.runs import SweepRecord  # MLflow takes seconds to import
 
     return SweepRecord(config.tracking.uri, config.tracking.experiment_name, config.output_dir, overrides)
+
+
+def _strip_secrets(record: Path) -> None:
+    """Rewrite a file without the secrets of addresses in it."""
+    if record.is_file() and (text := record.read_text()) != (stripped := without_secrets(text)):
+        record.write_text(stripped)
 
 
 def _text(overrides: Sequence[str], swept: frozenset[str]) -> str:

@@ -3,7 +3,6 @@
 The first connection gets `FIRST_CONNECTION_S`; while it is waited for, a line says so. Nothing here changes a store.
 """
 
-import re
 import socket
 import sqlite3
 from collections.abc import Callable
@@ -24,11 +23,6 @@ _DATABASE_PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
 
 class UnusableError(Exception):
     """Nothing can be kept at the address; the message says why."""
-
-
-def shown(uri: str) -> str:
-    """Return an address as it may be printed: without user, password or query."""
-    return re.sub(r"(?<=//)[^/@]*@", "", uri.partition("?")[0])
 
 
 def database_file(uri: str) -> Path:

@@ -1,15 +1,21 @@
-"""Runs independent items on Ray's workers; no other module imports Ray.
+"""Runs independent items on Ray's workers; no other module imports Ray but `pipeline.backends.nodes`.
 
 The number of items in flight is bounded, outcomes come as they finish, and an item that raised, or whose worker or node
 died, goes to another worker with the same arguments, so results do not depend on luck. The driver makes all decisions
 (retries, time limits, order).
 
+Before a worker runs anything, it compares the code that it would run with the driver's; a node with other code is left
+out. What does that comparison is sent along as it stands, so that a node with an older build cannot answer by its own.
+
 A Ray task costs some milliseconds of CPU time whatever it does, so short items go out in batches that last `BATCH_S`.
 """
 
 import os
+import secrets
+import shutil
 import signal
 import socket
+import threading
 import time
 import traceback
 from collections import deque
@@ -17,14 +23,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
 import lazy_loader
 
+from mrtask.names import counted
+from pipeline.backends.nodes import HeadLost, Nodes, host_and_port
 from pipeline.base import console, interrupt
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
+from pipeline.store.version import worker_code
 
 if TYPE_CHECKING:
     import ray
@@ -46,6 +56,10 @@ HARD_LIMIT_GRACE_S = 60.0
 """A task that does not react to its time limit (a hang in compiled code) has its worker killed after this much more."""
 EXCEPTION_RETRIES = 1
 CONNECT_TIMEOUT_S = 5.0
+LOCAL = "local"
+"""The address that stands for this machine's cores."""
+COMPARING = worker_code.__module__
+"""The module whose ``differences_in_code`` workers call."""
 ADDRESSES = "Use cluster.address=local for this machine, auto inside a cluster, or ray://host:10001"
 
 Item = TypeVar("Item")
@@ -68,6 +82,8 @@ class Outcome(Generic[Item, Value]):
     attempt: int
     value: Value | None = None
     failure: Failure | None = None
+    node: str | None = None
+    """The name of the machine that ran it; None where its worker died."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +97,18 @@ class _Try(Generic[Item]):
 
     def again(self, *, errors: int = 0, crashes: int = 0) -> "_Try[Item]":
         return replace(self, attempt=self.attempt + 1, errors=self.errors + errors, crashes=self.crashes + crashes)
+
+
+@dataclass(frozen=True)
+class _Reply:
+    """What a worker's answer holds."""
+
+    node_id: str
+    node: str
+    differences: list[str]
+    """In which parts its code is not the driver's; if there are any, nothing was run."""
+    results: list[tuple[Any, Failure | None]]
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -125,70 +153,126 @@ class Pool(AbstractContextManager["Pool"]):
 
     def __init__(self, cluster: Cluster) -> None:
         self._cluster = cluster
-        self._slots = 0
-        self._alone = True
+        self._nodes: Nodes | None = None
         self._owns_ray = False
+        self._session: Path | None = None
+        self._runs = 0
+        self._lock = threading.RLock()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._owns_ray:
             ray.shutdown()
+        if self._session is not None:
+            shutil.rmtree(self._session, ignore_errors=True)
 
     def start(self) -> None:
         """Connect now, so that an unusable cluster is reported before there is anything to undo."""
-        _ = self.slots
+        self._joined()
 
     @property
     def slots(self) -> int:
-        """How many items run at once, by cores and memory."""
-        if not self._slots:
-            if not ray.is_initialized():
-                _start(self._cluster)
-                self._owns_ray = True
-            there = _count_slots(self._cluster)
-            self._slots = min(there, self._cluster.cpus or there)
-            # Where the cluster has more slots than this run may use, a waiting batch would run on one of the others.
-            self._alone = self._slots == there
-        return self._slots
+        """How many items run at once, by cores and memory; it changes as nodes come and go."""
+        there = self._joined().slots
+        return min(there, self._cluster.cpus or there)
+
+    @property
+    def workers(self) -> str:
+        """The same as text: ``8 workers``."""
+        return counted(self.slots, "worker")
+
+    @property
+    def occupied(self) -> int:
+        """How many of the slots others use at the moment."""
+        return max(0, self.slots - self._joined().free_cores)
+
+    def _joined(self) -> Nodes:
+        with self._lock:  # cells of a sweep may run in several threads
+            if self._nodes is None:
+                if self._cluster.address == LOCAL:
+                    _keep_to_this_machine()
+                if not ray.is_initialized():
+                    self._session = _start(self._cluster)
+                    self._owns_ray = True
+                self._nodes = Nodes(self._cluster)
+            return self._nodes
+
+    @property
+    def _most_in_flight(self) -> int:
+        """How many batches a run sends at once: more than run, so that no worker idles and clusters that can grow do.
+
+        Where the cluster has more slots than this run may use, a waiting batch would run on one of the others. Runs in
+        several threads share the slots.
+        """
+        alone = self.slots == self._joined().slots
+        return max(1, self.slots * (IN_FLIGHT_PER_SLOT if alone else 1) // max(1, self._runs))
 
     def run(
-        self, function: Callable[..., Value], items: Iterable[Item], *shared: Any, timeout_s: float | None = None
+        self,
+        function: Callable[..., Value],
+        items: Iterable[Item],
+        *shared: Any,
+        timeout_s: float | None = None,
+        modules: Iterable[str] = (),
     ) -> Iterator[Outcome[Item, Value] | None]:
         """Run ``function(item, *shared)`` for each item and yield outcomes as they finish.
 
         Yields None about once a second while no outcome comes, so that the caller can do other work. Each worker gets
-        the ``shared`` values once. Leaving the loop early stops the items under way.
+        the ``shared`` values once. Leaving the loop early stops the items under way. ``modules`` are those of the
+        user's own that the function imports by name; their code must be the driver's too.
+
+        Raises:
+            HeadLost: the cluster's head is gone.
+            UserError: no node can be used, or none runs the driver's code.
         """
-        most_in_flight = self.slots * (IN_FLIGHT_PER_SLOT if self._alone else 1)
+        nodes = self._joined()
+        # What a program defines in itself is sent along as it stands.
+        checked = tuple(dict.fromkeys(name for name in (function.__module__, __name__, *modules) if name != "__main__"))
+        expected = worker_code(checked)
         memory_bytes = int(self._cluster.memory_per_task_gb * 2**30)
-        call: Any = ray.remote(num_cpus=1, memory=memory_bytes, max_retries=0)(_call)
+        dumps: Callable[[object], bytes] = ray.cloudpickle.dumps
+        call: Any = ray.remote(num_cpus=1, memory=memory_bytes, max_retries=0)(_guarded())
         references = [ray.put(value) for value in shared]
-        source, again, pace = iter(items), deque[_Try[Item]](), _Pace()
+        source, again, pace = iter(items), deque[list[_Try[Item]]](), _Pace()
         in_flight: dict[Any, _Batch[Item]] = {}
+        head_answers = True
+        with self._lock:
+            self._runs += 1
         try:
             while True:
                 interrupt.check()
-                while len(in_flight) < most_in_flight and (tries := _next(again, source, pace.items)):
-                    sent = call.remote(function, [one.item for one in tries], references, timeout_s)
-                    in_flight[sent] = _Batch(tries)
+                head_answers = nodes.recount()
+                if not head_answers:
+                    time.sleep(HEARTBEAT_S)
+                    yield None
+                    continue
+                anywhere = call.options(label_selector=nodes.selector) if nodes.selector else call
+                while len(in_flight) < self._most_in_flight and (tries := _next(again, source, pace.items)):
+                    work = dumps((function, [one.item for one in tries], timeout_s))
+                    in_flight[anywhere.remote(expected, checked, work, references)] = _Batch(tries)
                 if not in_flight:
                     return
                 ready, _ = ray.wait(list(in_flight), timeout=HEARTBEAT_S)
                 if not ready:
                     _kill_hung(in_flight, timeout_s)
                     yield None
+                settled: Outcome[Item, Value] | list[_Try[Item]]
                 for reference in ready:
-                    settled: Outcome[Item, Value] | _Try[Item]
                     for settled in self._settle(in_flight.pop(reference), reference, pace):
-                        if isinstance(settled, _Try):
+                        if isinstance(settled, list):
                             again.append(settled)
                         else:
                             yield settled
+        except HeadLost:
+            head_answers = False
+            raise
         finally:
+            with self._lock:
+                self._runs -= 1
             # Our own Ray ends with the process. It may abort when a task answers that was just cancelled (seen: exit
             # code 1, "Tried to complete task that was not pending").
-            if not (self._owns_ray and interrupt.requested()):
+            if head_answers and not (self._owns_ray and interrupt.requested()):
                 for reference in in_flight:
                     ray.cancel(reference, force=True)
 
@@ -210,50 +294,63 @@ class Pool(AbstractContextManager["Pool"]):
         with console.Progress(len(items), unit) as progress:
             for outcome in self.run(function, items, *shared):
                 if outcome is None:
-                    progress.update(0)
+                    progress.update(0, self.workers)
                     continue
                 if outcome.failure is not None:
                     raise ItemError(f"{unit}: {named(outcome.item)} failed: {outcome.failure.message}")
-                progress.update()
+                progress.update(note=self.workers)
                 yield outcome.item, cast(Value, outcome.value)
 
-    def _settle(self, batch: _Batch[Item], reference: Any, pace: _Pace) -> Iterator[Outcome[Item, Value] | _Try[Item]]:
-        """Yield the outcomes of a batch, and the items of it that must run again."""
+    def _settle(
+        self, batch: _Batch[Item], reference: Any, pace: _Pace
+    ) -> Iterator[Outcome[Item, Value] | list[_Try[Item]]]:
+        """Yield the outcomes of a batch, and those of its items that must run again, by the batch."""
+        nodes = self._joined()
         try:
-            results, seconds = ray.get(reference)
-            pace.note(len(results), seconds)
+            reply = _Reply(*ray.get(reference))
         except ray.exceptions.RayError as error:
+            if not isinstance(error, ray.exceptions.RayTaskError):
+                if not nodes.head_answers():
+                    yield batch.tries
+                    return
+                if not batch.killed:
+                    nodes.note_death(error)
             if len(batch.tries) > 1:  # one of them is to blame; run alone, it shows itself
-                yield from (one.again() for one in batch.tries)
+                yield from ([one.again()] for one in batch.tries)
             else:
                 yield self._after_loss(batch, error)
             return
-        for one, (value, failure) in zip(batch.tries, results, strict=True):
+        if reply.differences:
+            nodes.leave_out(reply.node_id, reply.node, reply.differences)
+            yield batch.tries
+            return
+        pace.note(len(reply.results), reply.seconds)
+        for one, (value, failure) in zip(batch.tries, reply.results, strict=True):
             if failure is not None and failure.kind == "error" and one.errors < EXCEPTION_RETRIES:
-                yield one.again(errors=1)
+                yield [one.again(errors=1)]
             else:
-                yield Outcome(one.item, one.attempt, value, failure)
+                yield Outcome(one.item, one.attempt, value, failure, reply.node)
 
-    def _after_loss(self, batch: _Batch[Item], error: "RayError") -> Outcome[Item, Value] | _Try[Item]:
+    def _after_loss(self, batch: _Batch[Item], error: "RayError") -> Outcome[Item, Value] | list[_Try[Item]]:
         """Return what becomes of an item whose worker returned nothing."""
         [one] = batch.tries
         if isinstance(error, ray.exceptions.RayTaskError):  # its value could not be sent back
             if one.errors < EXCEPTION_RETRIES:
-                return one.again(errors=1)
+                return [one.again(errors=1)]
             failure = Failure("error", str(error))
         elif batch.killed:
             failure = Failure("timeout", "did not react to its time limit; its worker was stopped")
         elif one.crashes < self._cluster.retries:
-            return one.again(crashes=1)
+            return [one.again(crashes=1)]
         else:
             failure = Failure("crash", f"its worker died {one.crashes + 1} times: {error}")
         return Outcome(one.item, one.attempt, None, failure)
 
 
-def _next(again: deque[_Try[Item]], source: Iterator[Item], most: int) -> list[_Try[Item]]:
-    """Return the next batch, empty when nothing is left; an item that runs again runs alone."""
+def _next(again: deque[list[_Try[Item]]], source: Iterator[Item], most: int) -> list[_Try[Item]]:
+    """Return the next batch, empty when nothing is left."""
     if again:
-        return [again.popleft()]
+        return again.popleft()
     return [_Try(item) for item in islice(source, most)]
 
 
@@ -268,7 +365,38 @@ def _kill_hung(in_flight: dict[Any, _Batch[Item]], timeout_s: float | None) -> N
             ray.cancel(reference, force=True)
 
 
-def _call(
+def _guarded() -> Callable[..., tuple[Any, ...]]:
+    """Return what a worker runs: the comparison of its code with the driver's, then the batch.
+
+    A function inside a function is pickled as it stands, so this also runs where mrtask is older, or is not installed.
+    The batch is unpickled only after the comparison.
+    """
+    running, comparing = __name__, COMPARING
+
+    def call(
+        expected: dict[str, str], checked: tuple[str, ...], work: bytes, references: list[Any]
+    ) -> tuple[str, str, list[str], list[Any], float]:
+        import importlib
+        import socket
+
+        import ray
+        import ray.cloudpickle
+
+        node_id, node = ray.get_runtime_context().get_node_id(), socket.gethostname()
+        try:
+            differences = importlib.import_module(comparing).differences_in_code(expected, checked)
+        except (ImportError, AttributeError, OSError) as error:
+            differences = [f"another version of mrtask, or none ({error})"]
+        if differences:
+            return node_id, node, differences, [], 0.0
+        function, items, timeout_s = ray.cloudpickle.loads(work)
+        results, seconds = importlib.import_module(running).run_batch(function, items, references, timeout_s)
+        return node_id, node, [], results, seconds
+
+    return call
+
+
+def run_batch(
     function: Callable[..., Value], items: list[Any], references: list[Any], timeout_s: float | None
 ) -> tuple[list[tuple[Value | None, Failure | None]], float]:
     """Run a batch in the worker; return the outcome of each item, and the seconds that all took."""
@@ -322,40 +450,47 @@ def _time_limit(seconds: float | None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _start(cluster: Cluster) -> None:
+def _start(cluster: Cluster) -> Path | None:
+    """Start or join Ray; return the folder of logs that Ray makes for a session on this machine alone."""
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
-    if cluster.address == "local":
+    if cluster.address == LOCAL:
         cpus = cluster.cpus or len(os.sched_getaffinity(0))
         options |= {"num_cpus": cpus, "include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES}
     elif cluster.address != "auto":
         _check_reachable(cluster.address)
+    _keep_token_private()
     try:
-        ray.init(address=cluster.address, **options)
+        context = ray.init(address=cluster.address, **options)
     except Exception as error:  # Ray raises a bare one where its start takes too long
         said = " ".join(str(error).split()).rstrip(".")
         raise UserError(
             f"cluster.address={cluster.address}: Ray cannot be used there: {said}. {ADDRESSES}; "
             "where the cluster asks for a token, set RAY_AUTH_MODE=token; where the start took too long, run it again"
         ) from error
+    interrupt.rearm()  # Ray sets a handler of its own
+    return Path(context.address_info["session_dir"]) if cluster.address == LOCAL else None
+
+
+def _keep_to_this_machine() -> None:
+    """Have Ray listen on the loopback alone, and answer only those who know a token of this run's.
+
+    Ray reads the variable when it is imported: where a program has imported it before, it listens on all addresses.
+    """
+    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # it has the same effect on Linux
+    if not os.environ.get("RAY_AUTH_MODE"):  # unset, Ray asks for a token where it finds one
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+
+
+def _keep_token_private() -> None:
+    """Take everybody else's right to read the cluster's token; Ray writes it for all to read."""
+    token = Path(os.environ.get("RAY_AUTH_TOKEN_PATH") or Path.home() / ".ray" / "auth_token")
+    if token.is_file() and token.stat().st_uid == os.getuid() and token.stat().st_mode & 0o077:
+        token.chmod(0o600)
 
 
 def _check_reachable(address: str) -> None:
     """Check quickly that somebody answers; Ray itself takes minutes to notice."""
-    host, _, port = address.removeprefix("ray://").partition("/")[0].rpartition(":")
     try:
-        socket.create_connection((host, int(port)), CONNECT_TIMEOUT_S).close()
+        socket.create_connection(host_and_port(address), CONNECT_TIMEOUT_S).close()
     except (OSError, ValueError) as error:
         raise UserError(f"cluster.address={address}: nobody answers there ({error}). {ADDRESSES}") from error
-
-
-def _count_slots(cluster: Cluster) -> int:
-    """Return how many items all nodes could run at once."""
-    need_bytes = cluster.memory_per_task_gb * 2**30
-    resources = [node["Resources"] for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
-    slots = sum(min(int(one.get("CPU", 0)), int(one.get("memory", 0) / need_bytes)) for one in resources)
-    if slots == 0:
-        most_gb = max((one.get("memory", 0) for one in resources), default=0) / 2**30
-        raise UserError(
-            f"cluster.memory_per_task_gb={cluster.memory_per_task_gb:g}: no node has that much; at most {most_gb:.1f}"
-        )
-    return slots

@@ -3,10 +3,12 @@
 The registered model is code plus safetensors; nothing here reads or writes a pickle.
 
 The alias ``champion`` marks the model that evaluations use. The first model takes it; a later one only by a lower log
-loss than the champion's on test homes that neither was trained on. To roll back: ``set_champion(tracking, version)``.
+loss than the champion's on test homes that neither was trained on. To roll back: ``mrtask champion <version>``.
 """
 
+import hashlib
 import json
+import os
 import re
 import shutil
 import tempfile
@@ -22,11 +24,13 @@ from mlflow.models import ModelSignature
 from mlflow.types.schema import ColSpec, DataType, Schema, TensorSpec
 
 import mrtask
+from mrtask.files import default_cache_dir
 from mrtask.likelihood.dataset import Dataset
 from mrtask.likelihood.kinds import load_model
 from mrtask.likelihood.model import LikelihoodModel, ModelError
 from mrtask.likelihood.rows import TRIPLE, distinct_triples
 from mrtask.likelihood.training import TrainedModel, score
+from pipeline.backends.addresses import SQLITE
 from pipeline.backends.runs import LOCK_TIMEOUT_S, Run, Tracking
 from pipeline.base.config import UserError
 from pipeline.store.version import public_version
@@ -55,6 +59,10 @@ REQUIREMENTS = (
 
 _DESCRIPTION = "P(object is in container) from the names of object, container type and room type"
 _MODEL_FOLDER, _HOMES_FILE = "model", "training_homes.json"
+_READ = ("MLmodel", "artifacts")
+"""What we read of a model; the library's copy beside it is for MLflow's own way to load it."""
+_LISTING = "files.txt"
+"""Names the files of a model in the cache, of which some may have been removed to make room."""
 _NOT_THE_LIBRARY = ("__pycache__", "*.nbi", "*.nbc", "pipeline", "conf", "suite")
 """Kept out of the library's copy beside a model; where a wheel was installed, the stages are inside the library."""
 
@@ -113,9 +121,9 @@ def load_registered(
     """Return the checked model of a ``models:/`` or ``runs:/`` URI; raises ``ChampionError`` saying what is wrong."""
     mlflow.set_tracking_uri(tracking.uri)
     try:
-        pinned, version = _pin(model_uri)
-        info = mlflow.models.get_model_info(pinned)
-        folder = Path(mlflow.artifacts.download_artifacts(artifact_uri=pinned))
+        pinned, version, created = _pin(model_uri)
+        folder = _files_of(tracking, pinned, created, (cache_dir or default_cache_dir()) / "models")
+        info = mlflow.models.get_model_info(str(folder))
     except (MlflowException, OSError) as error:
         raise ChampionError(
             f"no usable model {model_uri} in {tracking.uri} ({error}): train one with python -m pipeline.train, "
@@ -182,6 +190,44 @@ def set_champion(tracking: Tracking, version: str) -> None:
         mlflow.MlflowClient().set_registered_model_alias(MODEL_NAME, CHAMPION_ALIAS, version)
 
 
+@dataclass(frozen=True)
+class Version:
+    """A version in the registry, as `pipeline.champion` lists it."""
+
+    number: str
+    champion: bool
+    kind: str
+    dataset: str
+    """The digest of the labelled rows that it was trained on."""
+    metrics: dict[str, float]
+    """On the test homes of its training."""
+    promotion: str
+    """Why it became champion when it was registered, or why not."""
+
+
+def versions(tracking: Tracking) -> list[Version]:
+    """Return all versions of our model, the oldest first."""
+    client = mlflow.MlflowClient(tracking.uri)
+    found = client.search_model_versions(f"name = '{MODEL_NAME}'")
+    aliases = client.get_registered_model(MODEL_NAME).aliases if found else {}
+    listed = []
+    for one in sorted(found, key=lambda version: int(version.version)):
+        run = client.get_run(str(one.run_id))
+        inputs = run.inputs.dataset_inputs if run.inputs is not None else []
+        training = [given.dataset.digest for given in inputs if given.dataset.name.endswith("train")]
+        listed.append(
+            Version(
+                number=str(one.version),
+                champion=str(aliases.get(CHAMPION_ALIAS)) == str(one.version),
+                kind=one.tags.get("kind", "unknown"),
+                dataset=training[0] if training else "unknown",
+                metrics=dict(run.data.metrics),
+                promotion=one.tags.get("promotion", ""),
+            )
+        )
+    return listed
+
+
 def _log_model(trained: TrainedModel, dataset: Dataset) -> Any:
     example = dataset.triples("train")[TRIPLE].head(5)
     with tempfile.TemporaryDirectory() as temporary:
@@ -220,10 +266,45 @@ def _challenge(tracking: Tracking, trained: TrainedModel, dataset: Dataset) -> t
     return ours < theirs, f"{'promoted' if ours < theirs else 'refused'}: {numbers}"
 
 
-def _pin(model_uri: str) -> tuple[str, str]:
-    """Return the URI with its alias resolved, and the version: an alias may move between two look-ups."""
-    name, at, alias = model_uri.removeprefix("models:/").rpartition("@")
-    if model_uri.startswith("models:/") and at:
-        version = str(mlflow.MlflowClient().get_model_version_by_alias(name, alias).version)
-        return f"models:/{name}/{version}", version
-    return model_uri, model_uri.rsplit("/", 1)[-1] if model_uri.startswith("models:/") else model_uri
+def _pin(model_uri: str) -> tuple[str, str, str]:
+    """Return the URI with its alias resolved, the version, and when that was made.
+
+    An alias may move between two look-ups, and a server that was set up anew numbers its versions anew.
+    """
+    if not model_uri.startswith("models:/"):
+        return model_uri, model_uri, ""
+    client, (name, _, last) = mlflow.MlflowClient(), model_uri.removeprefix("models:/").rpartition("/")
+    if not name and "@" in last:
+        name, _, alias = last.rpartition("@")
+        found = client.get_model_version_by_alias(name, alias)
+    elif name:
+        found = client.get_model_version(name, last)
+    else:  # a logged model, models:/<id>
+        return model_uri, last, ""
+    return f"models:/{name}/{found.version}", str(found.version), str(found.creation_timestamp)
+
+
+def _files_of(tracking: Tracking, pinned: str, created: str, cache_dir: Path) -> Path:
+    """Return the folder of a model's files: where a store on this machine keeps them, of a served version a copy."""
+    if tracking.uri.startswith(SQLITE) or not created:
+        return Path(mlflow.artifacts.download_artifacts(artifact_uri=pinned))
+    key = hashlib.sha256(f"{tracking.uri} {pinned} {created}".encode()).hexdigest()[:16]
+    folder = cache_dir / key
+    if not _is_whole(folder):
+        shutil.rmtree(folder, ignore_errors=True)
+        cache_dir.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cache_dir) as temporary:
+            new = Path(temporary) / key
+            new.mkdir()
+            for part in _READ:
+                mlflow.artifacts.download_artifacts(artifact_uri=f"{pinned}/{part}", dst_path=str(new))
+            names = sorted(str(path.relative_to(new)) for path in new.rglob("*") if path.is_file())
+            (new / _LISTING).write_text("\n".join(names), encoding="utf-8")
+            if not _is_whole(folder):  # another process may have been faster
+                os.replace(new, folder)
+    return folder
+
+
+def _is_whole(folder: Path) -> bool:
+    listing = folder / _LISTING
+    return listing.is_file() and all((folder / name).is_file() for name in listing.read_text("utf-8").splitlines())

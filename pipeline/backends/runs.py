@@ -11,6 +11,7 @@ import os
 import re
 import sqlite3
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from mlflow.entities import Experiment, LoggedModelInput
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
+from mrtask.errors import without_secrets
 from mrtask.likelihood.dataset import CARD_FILE, MANIFEST_FILE, Dataset
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.metrics import evaluate_by, reliability
@@ -38,8 +40,8 @@ from pipeline.backends.addresses import (
     UnusableError,
     check_usable,
     database_file,
-    shown,
 )
+from pipeline.base import console
 from pipeline.base.config import Config, UserError
 
 for _name in ("mlflow", "alembic"):
@@ -57,6 +59,10 @@ _FAULTS = (MlflowException, SQLAlchemyError, sqlite3.Error)
 """What MLflow raises when its store fails."""
 _KIND, _MODEL_TRAINING = "mlflow.experimentKind", "custom_model_development"
 """The tag by which MLflow's pages open on runs and models instead of on language models' traces."""
+
+
+_ENVIRONMENT = threading.Lock()
+"""Held by whoever changes the process's environment for a moment: cells of a sweep may run in several threads."""
 
 
 class TrackingError(UserError, ValueError):
@@ -101,7 +107,7 @@ def open_tracking(uri: str, experiment: str) -> Tracking:
         found = _experiment(uri, experiment, location, lock_path)
     except (*_FAULTS, UnusableError, OSError) as error:
         raise TrackingError(
-            f"tracking.uri={shown(uri)}: MLflow's store cannot be opened or made there: {_first_line(error)}"
+            f"tracking.uri={uri}: MLflow's store cannot be opened or made there: {_first_line(error)}"
         ) from error
     if location and found.artifact_location != location:
         raise TrackingError(
@@ -133,16 +139,17 @@ def _experiment(uri: str, name: str, location: str | None, lock_path: Path) -> E
 def _impatient() -> Iterator[None]:
     """Let a server's first answer take `FIRST_CONNECTION_S`; MLflow by itself would ask again for minutes."""
     limits = {"MLFLOW_HTTP_REQUEST_TIMEOUT": f"{FIRST_CONNECTION_S:.0f}", "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}
-    before = {name: os.environ.get(name) for name in limits}
-    os.environ.update(limits)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    with _ENVIRONMENT:
+        before = {name: os.environ.get(name) for name in limits}
+        os.environ.update(limits)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 def _first_line(error: BaseException) -> str:
@@ -177,13 +184,13 @@ def run(
     active = mlflow.start_run(
         experiment_id=tracking.experiment_id,
         run_name=name,
-        tags={key: value for key, value in tags.items() if value},
+        tags={key: without_secrets(value) for key, value in tags.items() if value},
         nested=mlflow.active_run() is not None,
         parent_run_id=parent_run_id,
     )
     status = "FAILED"
     try:
-        mlflow.log_params({key: str(value)[:_PARAM_LENGTH] for key, value in _flat(params).items()})
+        mlflow.log_params({key: without_secrets(str(value))[:_PARAM_LENGTH] for key, value in _flat(params).items()})
         yield Run(tracking, active.info.run_id)
         status = "FINISHED"
     except KeyboardInterrupt:
@@ -200,7 +207,7 @@ def run(
 
 
 def _failed(tracking: Tracking, error: BaseException) -> TrackingError:
-    return TrackingError(f"tracking.uri={shown(tracking.uri)}: MLflow's store failed: {_first_line(error)}")
+    return TrackingError(f"tracking.uri={tracking.uri}: MLflow's store failed: {_first_line(error)}")
 
 
 class SweepRecord:
@@ -281,6 +288,28 @@ def log_metrics(run: Run, metrics: Mapping[str, float], step: int | None = None)
     """Log numbers, those of one epoch under its ``step``; values that are not finite are left out."""
     finite = {name: float(value) for name, value in metrics.items() if np.isfinite(value)}
     mlflow.log_metrics(finite, step=step, run_id=run.run_id)
+
+
+class LiveMetrics:
+    """Logs numbers of a run under way from a thread, so that a slow or dead server holds nobody up."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._thread: threading.Thread | None = None
+        self._step = 0
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        """Log them as the next step; they are left out where the last ones are still on their way."""
+        if self._thread is None or not self._thread.is_alive():
+            self._step += 1
+            self._thread = threading.Thread(target=self._log, args=(metrics, self._step), daemon=True)
+            self._thread.start()
+
+    def _log(self, metrics: Mapping[str, float], step: int) -> None:
+        try:
+            log_metrics(self._run, metrics, step)
+        except MlflowException as error:
+            console.line(f"MLflow does not take live metrics: {str(error).splitlines()[0]}")
 
 
 def log_artifact(run: Run, path: Path, folder: str | None = None) -> None:

@@ -1,5 +1,6 @@
 """Keeps Ctrl-C from being lost: Python drops a `KeyboardInterrupt` in a finalizer or a weak reference's callback.
 
+SIGTERM, with which schedulers end a job (scancel, an eviction, a spot machine), does the same as Ctrl-C.
 The handler raises as usual and also remembers; long loops call `check`, so that a dropped interrupt stops them too.
 While a stage imports its libraries, which takes seconds, an interrupt just ends the process.
 """
@@ -7,6 +8,7 @@ While a stage imports its libraries, which takes seconds, an interrupt just ends
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -14,6 +16,8 @@ from types import FrameType
 from mrtask.errors import INTERRUPT_EXIT
 
 MESSAGE = "\ninterrupted; the same command continues from here"
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _requested = False
 
@@ -28,11 +32,18 @@ def remembered() -> Iterator[None]:
     """Remember an interrupt for `check` while the context runs."""
     global _requested
     _requested = False
-    before = signal.signal(signal.SIGINT, _handle)
+    before = {number: signal.signal(number, _handle) for number in SIGNALS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def rearm() -> None:
+    """Handle SIGTERM again, if interrupts are remembered, after something else has taken it over."""
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is _handle:
+        signal.signal(signal.SIGTERM, _handle)
 
 
 @contextmanager
@@ -58,6 +69,8 @@ def requested() -> bool:
 
 def _handle(number: int, frame: FrameType | None) -> None:
     global _requested
+    if number == signal.SIGTERM and _requested:  # schedulers send several; the first must be able to tidy up
+        return
     _requested = True
     raise KeyboardInterrupt
 

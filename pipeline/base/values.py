@@ -18,7 +18,8 @@ def absolute(path: Path) -> Path:
     return Path(path).expanduser().absolute()
 
 
-def _absolute_unless_url(location: str) -> str:
+def absolute_unless_url(location: str) -> str:
+    """Return a local path from the root, and a URL as it is."""
     return location if "://" in location else str(absolute(Path(location)))
 
 
@@ -46,7 +47,7 @@ def spelled(pattern: str, allowed: str) -> AfterValidator:
 
 
 LocalPath = Annotated[Path, AfterValidator(absolute)]
-Location = Annotated[str, Field(min_length=1), AfterValidator(_absolute_unless_url)]
+Location = Annotated[str, Field(min_length=1), AfterValidator(absolute_unless_url)]
 """A local path, made absolute, or an fsspec URL."""
 
 

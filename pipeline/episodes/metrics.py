@@ -1,7 +1,9 @@
 """What MLflow's lists and descriptions say about an evaluation: numbers by planner and cell, and the headline."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+
+import pandas as pd
 
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.answer import find
@@ -9,8 +11,11 @@ from mrtask.analysis.results.published import load_published
 from mrtask.analysis.results.roles import BASELINES, main_planner
 from mrtask.analysis.results.statistics import EVERYTHING, Cell, Estimate, Summary
 
+MOST_PLANNERS = 12
+"""Of more planners, which are variants of a few, MLflow lists the numbers of the best only: its pages get slow."""
 
-def metrics_of(summary: Summary) -> dict[str, float]:
+
+def metrics_of(summary: Summary, planners: Collection[str]) -> dict[str, float]:
     """Return ``<planner>/<size>_<robots>/<what>``, and ``<planner>/all/<what>`` over everything; undefined ones lack.
 
     These are the accepted share, the mean cost, the improvements over the baselines, each with its 95 % interval
@@ -20,10 +25,26 @@ def metrics_of(summary: Summary) -> dict[str, float]:
     found = {
         f"{planner_label(planner)}/{name}/{what}": value
         for cell, name in named.items()
-        for planner in summary.planners
+        for planner in planners
         for what, value in (*_of_cell(summary, cell, planner), *_beside_means(summary, cell, planner))
     }
     return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def most_telling(summary: Summary) -> list[str]:
+    """Return the planners to list: all, or of many the main one, the baselines, and those of the least mean cost."""
+    if len(summary.planners) <= MOST_PLANNERS:
+        return list(summary.planners)
+    costs = {planner: summary.planner_cells[EVERYTHING, planner].cost_cells.value for planner in summary.planners}
+    best = sorted(summary.planners, key=lambda planner: costs[planner] if math.isfinite(costs[planner]) else math.inf)
+    baselines = [planner for planner in BASELINES if planner in summary.planners]
+    return list(dict.fromkeys([main_planner(summary.planners), *baselines, *best]))[:MOST_PLANNERS]
+
+
+def table_of(summary: Summary) -> pd.DataFrame:
+    """Return the metrics of all planners as a table with the columns planner, cell, metric, value."""
+    rows = [(*name.rsplit("/", 2), value) for name, value in metrics_of(summary, summary.planners).items()]
+    return pd.DataFrame(rows, columns=["planner", "cell", "metric", "value"])
 
 
 def _of_cell(summary: Summary, cell: Cell, planner: str) -> Iterator[tuple[str, float]]:

@@ -31,10 +31,8 @@ from pipeline.store.home_set import HomeSet
 from pipeline.store.layout import IDENTITY
 from pipeline.store.records import Asked, EvaluatedHomes, RunIdentity, TrainedModelRecord
 from pipeline.store.rows import Key
-from pipeline.store.version import code_version, source_hash
+from pipeline.store.version import RESULT_SOURCES, code_version, source_hash
 
-RESULT_SOURCES = ("homes", "maps", "tasks", "likelihood", "planning", "execution")
-"""The library packages whose code decides an episode's row."""
 WHICH_ROWS = {"planners", "size_classes", "robots", "trials_per_cell"}
 """Keys of ``evaluation`` that decide which rows exist, but not what any of them says."""
 WITHOUT_EFFECT = {"homes", "formula_file", "model_uri", "episode_timeout_s", "max_failed_fraction", "rerun"}

@@ -22,6 +22,7 @@ class Tally:
         self._costs_s: defaultdict[str, dict[str, float]] = defaultdict(dict)
         self._sums_s = dict.fromkeys(self._pair, 0.0)
         self._episodes = self._failed = 0
+        self.last_error = ""
 
     def add(self, row: EpisodeRow) -> None:
         """Count a row.
@@ -32,6 +33,8 @@ class Tally:
         self._episodes += 1
         if row.status in ("error", "timeout"):
             self._failed += 1
+            reason = (row.error or row.status).strip().splitlines()[-1]
+            self.last_error = f"{row.trial_id} by {row.planner}: {reason}"
             if self._episodes >= MIN_EPISODES_TO_JUDGE and self._failed > self._max_failed_fraction * self._episodes:
                 raise UserError(
                     f"{self._failed} of {self._episodes} episodes failed, more than evaluation.max_failed_fraction="
@@ -44,12 +47,19 @@ class Tally:
                 for name, cost_s in self._costs_s.pop(row.trial_id).items():
                     self._sums_s[name] += cost_s
 
-    def note(self) -> str:
-        """Return the note: ``pouct 31% better than nonlearned_myopic, 2 failed``."""
+    @property
+    def saved(self) -> float | None:
+        """Which part of the baseline's cost the planner saves; None while no trial has both."""
         baseline, planner = self._pair
-        parts = []
-        if baseline != planner and self._sums_s[baseline] > 0:
-            saved = 1 - self._sums_s[planner] / self._sums_s[baseline]
+        if baseline == planner or not self._sums_s[baseline]:
+            return None
+        return 1 - self._sums_s[planner] / self._sums_s[baseline]
+
+    def note(self, workers: str = "") -> str:
+        """Return the note: ``8 workers, pouct 31% better than nonlearned_myopic, 2 failed``."""
+        baseline, planner = self._pair
+        parts = [workers] if workers else []
+        if (saved := self.saved) is not None:
             parts.append(f"{planner} {abs(saved):.0%} {'better' if saved >= 0 else 'worse'} than {baseline}")
         if self._failed:
             parts.append(f"{self._failed} failed")

@@ -22,6 +22,7 @@ from mrtask.maps.home_map import HomeMap, map_bytes
 from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.store.episode_row import EpisodeRow
 
+CONTEXTS_KEPT = 8
 MAPS_KEPT = 8
 MAPS_KEPT_BYTES = 2 * 1024**3
 """Of maps as large as a residence's, a worker keeps fewer, at least one."""
@@ -70,6 +71,12 @@ class Context:
     home_order: str = "shuffled"
     adapt: AdaptOptions | None = None
     """How the likelihoods of a home are corrected by what its earlier tasks showed; None: not at all."""
+
+    @property
+    def own_modules(self) -> tuple[str, ...]:
+        """The modules of the user's own planners."""
+        paths = (spec.planner.rpartition(".")[0] for spec in self.planners.values())
+        return tuple(dict.fromkeys(module for module in paths if module))
 
 
 def map_home(number: int, context: Context) -> tuple[int, int]:
@@ -170,6 +177,15 @@ def warm(key: EpisodeKey, context: Context) -> None:
     warm_up(*setting(key, context), spec.make())
 
 
+def run_warm(key: EpisodeKey, context: Context) -> EpisodeRow:
+    """Return the row of `run_one` as later episodes run: what a worker does once for each planner is done before."""
+    warmed = bench_of(context).warmed
+    if key.planner not in warmed:
+        warm(key, context)
+        warmed.add(key.planner)
+    return run_one(key, context)
+
+
 def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | None) -> EpisodeRow:
     """Return the row of an episode of which nothing more is known; the driver can make it too."""
     made_by = context.provenance
@@ -191,6 +207,7 @@ class Bench:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self.warmed: set[str] = set()
         self.homes = {home.id: home for home in context.homes}
         largest = max(map_bytes(home, context.maps.grid.resolution_m) for home in context.homes)
         kept = min(MAPS_KEPT, max(MAPS_KEPT_BYTES // largest, 1))
@@ -215,7 +232,7 @@ class Bench:
         )
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=CONTEXTS_KEPT)
 def bench_of(context: Context) -> Bench:
-    """Return the bench of a context; a worker keeps one at a time."""
+    """Return the bench of a context; a worker keeps those of the cells that run side by side."""
     return Bench(context)

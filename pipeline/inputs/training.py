@@ -9,6 +9,7 @@ from pathlib import Path
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
+from mrtask.errors import without_secrets
 from mrtask.likelihood.dataset import Dataset, read_dataset, read_manifest
 from mrtask.likelihood.embeddings import check_embedding
 from mrtask.likelihood.options import EpochMetrics, NetworkOptions, TrainingOptions
@@ -112,9 +113,10 @@ def find(rows_folder: Path, wanted: TrainingSpec) -> TrainedModelRecord:
 
 def find_record(datasets_dir: Path, tracking_uri: str, model_version: str) -> TrainedModelRecord | None:
     """Return the record of a registered version; None where it was trained elsewhere."""
+    wanted = (model_version, without_secrets(tracking_uri))
     for path in (datasets_dir / "models").glob(f"*/{artifacts.MANIFEST}"):
         record = artifacts.find_manifest(path.parent, TrainedModelRecord)
-        if record is not None and (record.model_version, record.tracking_uri) == (model_version, tracking_uri):
+        if record is not None and (record.model_version, without_secrets(record.tracking_uri)) == wanted:
             return record
     return None
 

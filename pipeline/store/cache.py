@@ -1,14 +1,10 @@
-"""The user's cache: maps, embeddings of names and compiled kernels, all of which can be removed at any time.
+"""The user's cache: maps, embeddings of names, compiled kernels and copies of models; all can be removed at any time.
 
-``python -m pipeline.store.cache`` (``make clean-cache``) removes it. Every evaluation trims it to ``cache_limit_gb``;
-the least recently used files go first.
+``mrtask clean`` removes it. Every evaluation trims it to ``cache_limit_gb``; the least recently used files go first.
 """
 
 import contextlib
-import shutil
 from pathlib import Path
-
-from mrtask.files import default_cache_dir
 
 
 def trim(folder: Path, limit_bytes: float) -> int:
@@ -27,9 +23,3 @@ def trim(folder: Path, limit_bytes: float) -> int:
             path.unlink()
             total, removed = total - size, removed + 1
     return removed
-
-
-if __name__ == "__main__":
-    if default_cache_dir().exists():
-        shutil.rmtree(default_cache_dir())
-    print(f"removed {default_cache_dir()}")

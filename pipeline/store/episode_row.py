@@ -38,9 +38,12 @@ class EpisodeRow:
     start_x_m: float | None = None
     start_y_m: float | None = None
     attempt: Int32 = 1
+    """How often it was sent to a worker."""
     wall_s: float | None = None
     peak_memory_mb: float | None = None
     trace: str | None = None
+    node: str | None = None
+    """The name of the machine that ran it."""
 
     def as_dict(self) -> dict[str, Any]:
         """Column -> value."""
@@ -59,5 +62,7 @@ def _column(hint: Any) -> pa.DataType:
 _HINTS = get_type_hints(EpisodeRow, include_extras=True)
 SCHEMA = pa.schema([(field.name, _column(_HINTS[field.name])) for field in fields(EpisodeRow)])
 """The columns of the Parquet files, in their order."""
+LATER_COLUMNS = frozenset({"node"})
+"""Columns that rows of earlier versions lack; they are read as null."""
 TRACE = "trace"
 """The column with most of a row's size; only the episodes that are drawn need it."""

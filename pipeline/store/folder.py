@@ -12,22 +12,30 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import fsspec
 
+from pipeline.base import console
 from pipeline.base.config import UserError
 
 OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"}
 """They have no folders to make, and making a missing bucket would hide a misspelt name."""
 LOCK = ".lock"
+LOCKS = "locks"
+"""The folder in the cache with the locks of runs in stores."""
 LEASE_S = 60.0
 """A run that has not renewed its lock in a store for this long is dead."""
 RENEW_EVERY_S = 15.0
+PATIENCE_S = 600.0
+"""How long a store that a run writes to is asked again before the run gives up."""
+RETRY_EVERY_S = 5.0
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -69,14 +77,42 @@ class Folder:
             reason = (isinstance(error, OSError) and error.strerror) or error
             raise UserError(f"{problem}: {reason}{advice}") from error
 
-    def write(self, name: str, content: bytes) -> None:
+    def _do(self, problem: str, act: Callable[[Any, str], Result], advice: str = "", *, patient: bool = True) -> Result:
+        """Return ``act(filesystem, path)``; a store that a run has begun to use is asked again for `PATIENCE_S`."""
+        began_s = time.monotonic()
+        silent = (self._store, problem.split()[1])
+        while True:
+            try:
+                with self._opened(problem, advice) as (filesystem, path):
+                    result = act(filesystem, path)
+            except UserError as error:
+                if not (patient and self._in_use) or time.monotonic() - began_s >= PATIENCE_S:
+                    raise
+                _say_silent(silent, error)
+                time.sleep(RETRY_EVERY_S)
+            else:
+                if not self.is_local:
+                    _say_answers(silent)
+                return result
+
+    @property
+    def _store(self) -> str:
+        """The store's bucket: ``s3://bucket``."""
+        return "/".join(self.location.split("/")[:3])
+
+    @property
+    def _in_use(self) -> bool:
+        return not self.is_local and any(self.location.startswith(held) for held in _leased_here)
+
+    def write(self, name: str, content: bytes, *, patient: bool = True) -> None:
         """Write one file; it replaces an older one of that name at once.
 
         Raises:
             UserError: the folder cannot be written, or the disk is full.
         """
         advice = "; make room or give another place by output_dir=..., then run the same command again to continue"
-        with self._opened(f"cannot write {self.location}/{name}", advice) as (filesystem, path):
+
+        def act(filesystem: Any, path: str) -> None:
             if not self.is_local:
                 if self.location.partition("://")[0] not in OBJECT_STORES:
                     filesystem.makedirs(path, exist_ok=True)
@@ -90,33 +126,51 @@ class Folder:
             finally:
                 Path(temporary).unlink(missing_ok=True)
 
+        self._do(f"cannot write {self.location}/{name}", act, "" if self._in_use else advice, patient=patient)
+
     def read(self, name: str) -> bytes | None:
         """Return a file's content, None where there is no such file."""
-        with self._opened(f"cannot read {self.location}/{name}") as (filesystem, path):
+
+        def act(filesystem: Any, path: str) -> bytes | None:
             try:
                 content: bytes = filesystem.cat_file(f"{path}/{name}")
             except (FileNotFoundError, NotADirectoryError):
                 return None
-        return content
+            return content
+
+        return self._do(f"cannot read {self.location}/{name}", act)
 
     def names(self) -> list[str]:
         """Return the sorted names of the files and folders here; none where the folder is missing."""
-        with self._opened(f"cannot list {self.location}") as (filesystem, path):
+
+        def act(filesystem: Any, path: str) -> list[str]:
             try:
                 return sorted(Path(entry).name for entry in filesystem.ls(path, detail=False, refresh=True))
             except (FileNotFoundError, NotADirectoryError):
                 return []
 
-    def remove(self, name: str) -> None:
+        return self._do(f"cannot list {self.location}", act)
+
+    def remove(self, name: str, *, patient: bool = True) -> None:
         """Remove a file, or a folder with its content, if it exists."""
-        with self._opened(f"cannot remove {self.location}/{name}") as (filesystem, path):
+
+        def act(filesystem: Any, path: str) -> None:
             if filesystem.exists(f"{path}/{name}"):
                 filesystem.rm(f"{path}/{name}", recursive=True)
 
+        self._do(f"cannot remove {self.location}/{name}", act, patient=patient)
+
     def rename(self, old: str, new: str) -> None:
         """Rename a file."""
-        with self._opened(f"cannot rename {self.location}/{old}") as (filesystem, path):
-            filesystem.mv(f"{path}/{old}", f"{path}/{new}")
+
+        def act(filesystem: Any, path: str) -> None:
+            try:
+                filesystem.mv(f"{path}/{old}", f"{path}/{new}")
+            except FileNotFoundError:
+                if not filesystem.exists(f"{path}/{new}"):  # it may have been renamed, and only the answer lost
+                    raise
+
+        self._do(f"cannot rename {self.location}/{old}", act)
 
     def upload(self, source: Path) -> None:
         """Copy a local folder's files here."""
@@ -125,6 +179,26 @@ class Folder:
                 parent = path.relative_to(source).parent
                 target = self if parent == Path(".") else self / str(parent)
                 target.write(path.name, path.read_bytes())
+
+
+_leased_here: set[str] = set()
+"""The locations in stores that this process has begun to write to."""
+_silent: set[tuple[str, str]] = set()
+"""The stores that did not write, read, ... something, and have not since."""
+
+
+def _say_silent(what: tuple[str, str], error: UserError) -> None:
+    if what not in _silent:
+        _silent.add(what)
+        console.line(
+            f"{error}; the run goes on, keeps its rows and tries again for up to {console.duration(PATIENCE_S)}"
+        )
+
+
+def _say_answers(what: tuple[str, str]) -> None:
+    if what in _silent:
+        _silent.discard(what)
+        console.line(f"{what[0]} answers again")
 
 
 @contextmanager
@@ -148,7 +222,7 @@ def locked(folder: Folder, cache_dir: Path) -> Iterator[None]:
             finally:
                 _remove_unused(path, new)
     else:
-        path = cache_dir / "locks" / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
+        path = cache_dir / LOCKS / hashlib.sha256(folder.location.encode()).hexdigest()[:16]
         with _locked_file(path, folder), _leased(folder):
             yield
 
@@ -187,7 +261,7 @@ def _locked_file(path: Path, folder: Folder) -> Iterator[None]:
             raise UserError(f"output_dir={folder.location} was in use by another run until now; run the command again")
         handle.seek(0)
         handle.truncate()
-        handle.write(f"{_this_process()}\n")
+        handle.write(f"{this_process()}\n")
         handle.flush()
         yield
 
@@ -199,8 +273,8 @@ def _leased(folder: Folder) -> Iterator[None]:
     over = threading.Event()
 
     def write() -> None:
-        lease = {"by": _this_process(), "host": socket.gethostname(), "renewed": time.time()}
-        folder.write(LOCK, json.dumps(lease).encode())
+        lease = {"by": this_process(), "host": socket.gethostname(), "renewed": time.time()}
+        folder.write(LOCK, json.dumps(lease).encode(), patient=False)
 
     def renew() -> None:
         while not over.wait(RENEW_EVERY_S):
@@ -211,14 +285,16 @@ def _leased(folder: Folder) -> Iterator[None]:
     write()
     renewing = threading.Thread(target=renew, daemon=True)
     renewing.start()
+    _leased_here.add(folder.location)
     try:
         yield
     finally:
+        _leased_here.discard(folder.location)
         over.set()
-        renewing.join()
+        renewing.join(LEASE_S / 10)
         # If the store fails and keeps it, it expires like a killed run's.
         with contextlib.suppress(UserError):
-            folder.remove(LOCK)
+            folder.remove(LOCK, patient=False)
 
 
 def _refuse_if_leased(folder: Folder) -> None:
@@ -235,5 +311,6 @@ def _refuse_if_leased(folder: Folder) -> None:
         )
 
 
-def _this_process() -> str:
+def this_process() -> str:
+    """Return which process this is, for people on other machines."""
     return f"process {os.getpid()} on {socket.gethostname()}"

@@ -3,6 +3,7 @@
 run.json              `RunIdentity`: everything that decides what the episodes' rows say
 episodes/             the rows, `EpisodeRow`, as Parquet
 evaluation.json       `EvaluationManifest`: written when all episodes are there
+progress.json         `RunProgress`: how far the run is; written every few seconds
 mlflow_run_id         the MLflow run under way, or the last one
 stages.json           `StageTimes`: written by pipeline.reproduce
 report/               index.html, table.csv, replays/, tables/, figures/, and `ReportKey` in manifest.json
@@ -23,6 +24,7 @@ IDENTITY = "run.json"
 EPISODES = "episodes"
 MANIFEST = "evaluation.json"
 RUN_ID = "mlflow_run_id"
+PROGRESS = "progress.json"
 STAGES = "stages.json"
 REPORT = "report"
 REPORT_INDEX = "index.html"
@@ -42,7 +44,7 @@ BELIEFS = "beliefs"
 
 def forget_episodes(folder: Folder) -> None:
     """Remove the episodes and everything made from them."""
-    for name in (EPISODES, IDENTITY, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
+    for name in (EPISODES, IDENTITY, PROGRESS, MANIFEST, REPORT, REPLAYS, STAGES, BELIEFS):
         folder.remove(name)
 
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 import psutil
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from mrtask.errors import without_secrets
 from mrtask.execution.trials import trial_id
 from mrtask.homes.split import HomeSplit
 from mrtask.names import counted
@@ -38,8 +39,8 @@ class Record(BaseModel):
     version: Literal[1] = 1
 
     def to_json(self) -> bytes:
-        """Return the file's content."""
-        return self.model_dump_json(indent=1).encode()
+        """Return the file's content, in which addresses have no secrets."""
+        return without_secrets(self.model_dump_json(indent=1)).encode()
 
     @classmethod
     def from_json(cls, content: bytes, path: str) -> Self:
@@ -338,6 +339,35 @@ class EvaluationManifest(Record):
             "homes": homes,
         }
         return facts | ({"stages": dict(stages.seconds)} if stages else {})
+
+
+class RunProgress(Record):
+    """How far an evaluation is, for `pipeline.status` on any machine."""
+
+    state: Literal["running", "finished", "interrupted", "failed"]
+    by: str
+    """Which process runs it, and where."""
+    started: float
+    """Unix time of the command's first episode."""
+    updated: float
+    """Unix time of this record."""
+    done: int
+    total: int
+    """How many episodes there are of those that the command asked for, and how many it asked for."""
+    began_with: int
+    """How many of them were there before the command."""
+    workers: int
+    note: str
+    """What the progress line says besides."""
+    last_error: str = ""
+    """The last episode that ended with an exception or a timeout, and why."""
+    message: str = ""
+    """Why the run failed."""
+
+    @property
+    def per_s(self) -> float:
+        """Episodes a second since the command began; 0 where none has finished."""
+        return (self.done - self.began_with) / max(self.updated - self.started, 1e-9)
 
 
 class StageTimes(Record):

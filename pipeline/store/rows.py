@@ -8,22 +8,33 @@ dataset finishes a merge that was interrupted, so no row is ever lost or doubled
 
 import io
 import json
+import math
+import queue
+import threading
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from mrtask.names import counted
+from pipeline.base import console, interrupt
 from pipeline.base.config import UserError
-from pipeline.store.episode_row import SCHEMA, TRACE, EpisodeRow
+from pipeline.store.episode_row import LATER_COLUMNS, SCHEMA, TRACE, EpisodeRow
 from pipeline.store.folder import Folder
 
 FLUSH_EVERY_S = 2.0
 FLUSH_ROWS = 500
+GRACE_S = 10.0
+"""How long an interrupted run goes on writing; schedulers kill it after 30 s."""
+WAIT_S = 0.2
 MERGE_PARTS = 50
 FULL_PART_ROWS = 20_000
 """Larger parts are not merged: a merge holds its rows in memory, with their traces."""
@@ -39,7 +50,10 @@ class EpisodeWriter:
     """The one writer of a dataset.
 
     Opening it drops rows of a status in ``rerun``, so that they run again: only those of ``asked`` where that is given.
-    ``begin`` is called once, right before the first rows are written.
+    ``begin`` is called once, right before the first rows are written. A store's rows are written by a thread, so that
+    planning goes on while the store is slow or silent. Rows that it does not take within
+    `pipeline.store.folder.PATIENCE_S` go to the local folder ``unsent``; the next writer with the same ``unsent`` sends
+    them.
     """
 
     def __init__(
@@ -48,11 +62,19 @@ class EpisodeWriter:
         rerun: Collection[str] = (),
         asked: Collection[Key] | None = None,
         begin: Callable[[], None] | None = None,
+        unsent: Path | None = None,
     ) -> None:
         self._folder, self._begin = folder, begin
         self._pending: list[EpisodeRow] = []
         self._flushed_s = time.monotonic()
+        self._unsent = Folder(str(unsent)) if unsent is not None and not folder.is_local else None
+        self._courier, self._errand = _Courier(), cast(_Errand | None, None)
+        self._posted = _Errand([], lambda: None)
+        self._posted.ended.set()
+        self._given_up = False
         self._small = _finish_merges(folder)
+        if self._unsent is not None:
+            self._send(self._unsent)
         if rerun:
             self._drop(rerun, asked)
 
@@ -67,28 +89,136 @@ class EpisodeWriter:
         self.tick()
 
     def tick(self) -> None:
-        """Write what is pending when it is time."""
+        """Write what is pending when it is time.
+
+        Raises:
+            UserError: the rows could not be written.
+        """
+        self._collect()
         due = time.monotonic() - self._flushed_s >= FLUSH_EVERY_S or len(self._pending) >= FLUSH_ROWS
-        if self._pending and due:
+        if self._pending and due and self._errand is None:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is pending."""
-        if self._pending:
-            if self._begin is not None:
-                self._begin()
-                self._begin = None
-            table = pa.Table.from_pylist([row.as_dict() for row in self._pending], schema=SCHEMA).sort_by(SORTED_BY)
-            self._small.append(_write(self._folder, "part", table))
-            self._pending = []
+        """Write what is pending, in a store by a thread."""
+        rows, self._pending = self._pending, []
         self._flushed_s = time.monotonic()
-        if len(self._small) >= MERGE_PARTS:
-            self._merge()
+        if not rows:
+            return
+        if self._folder.is_local:
+            try:
+                self._write_part(rows)
+            except UserError:
+                self._pending = [*rows, *self._pending]
+                raise
+            self._merge_if_many()
+        else:
+            self._errand = _Errand(rows, partial(self._store, rows))
+            self._courier.send(self._errand)
 
     def close(self) -> None:
-        """Write the rest and merge the small parts into one, sorted by trial and planner."""
+        """Write the rest and merge the small parts into one, sorted by trial and planner.
+
+        Raises:
+            UserError: the rows could not be written.
+        """
+        self.settle()
         self.flush()
-        if len(self._small) > 1:
+        self.settle()
+        if len(self._small) > 1 and not self._given_up:
+            self._merge()
+        self._courier.dismiss()
+
+    def post(self, write: Callable[[], None]) -> None:
+        """Write something beside the rows: at once, or in a store by the thread, unless that is busy.
+
+        What a store does not take is left out.
+        """
+        if self._folder.is_local:
+            write()
+        elif self._errand is None and self._posted.ended.is_set():
+            self._posted = _Errand([], write)
+            self._courier.send(self._posted)
+
+    def flush_soon(self) -> None:
+        """Write the rest within the few seconds that a scheduler leaves; a store that is slower gets it later."""
+        end_s = time.monotonic() + GRACE_S
+        try:
+            self.settle(end_s)
+            self.flush()
+            self.settle(end_s)
+        except UserError as error:
+            console.line(str(error))
+
+    def settle(self, end_s: float = math.inf) -> None:
+        """Wait for what is being written; what is not by ``end_s`` goes to the local folder."""
+        while not self._posted.ended.wait(WAIT_S) and time.monotonic() < end_s:
+            pass
+        while self._errand is not None and time.monotonic() < end_s:
+            self._errand.ended.wait(WAIT_S)
+            self._collect()
+            if end_s == math.inf:
+                interrupt.check()
+        if self._errand is not None:
+            self._keep_here(f"cannot write {self._folder}: no answer for {console.duration(GRACE_S)}")
+
+    def _collect(self) -> None:
+        """Note that a thread has written its rows, or keep them in the local folder."""
+        if self._errand is not None and self._errand.ended.is_set():
+            error = self._errand.error
+            if isinstance(error, UserError):
+                self._keep_here(str(error))
+            self._errand = None
+            if error is not None:
+                raise error
+
+    def _keep_here(self, problem: str) -> None:
+        """Put all rows that are not in the store into the local folder.
+
+        Raises:
+            UserError: always; it says where they are.
+        """
+        assert self._errand is not None
+        rows, self._pending, self._errand = [*self._errand.rows, *self._pending], [], None
+        self._given_up = True
+        if self._unsent is None:
+            raise UserError(problem)
+        _write(self._unsent, "part", _table(rows))
+        raise UserError(
+            f"{problem}; {counted(len(rows), 'row')} that it lacks went to {self._unsent}. When the store answers "
+            "again, the same command, on this machine, sends them and continues"
+        )
+
+    def _send(self, unsent: Folder) -> None:
+        """Write the rows of the local folder that the store lacks; some may have arrived after all."""
+        names = _part_names(unsent)
+        if not names:
+            return
+        finished = self.finished()
+        table = pa.concat_tables(_read_part(unsent, name) for name in names)
+        keys = zip(table["trial_id"].to_pylist(), table["planner"].to_pylist(), strict=True)
+        missing = table.filter(pa.array([key not in finished for key in keys]))
+        if missing.num_rows:
+            self._write_table(missing.sort_by(SORTED_BY))
+        console.line(f"{counted(missing.num_rows, 'row')} sent that the store had not taken, from {unsent}")
+        for name in names:
+            unsent.remove(name)
+
+    def _store(self, rows: Sequence[EpisodeRow]) -> None:
+        self._write_part(rows)
+        self._merge_if_many()
+
+    def _write_part(self, rows: Sequence[EpisodeRow]) -> None:
+        self._write_table(_table(rows))
+
+    def _write_table(self, table: pa.Table) -> None:
+        if self._begin is not None:
+            self._begin()
+            self._begin = None
+        self._small.append(_write(self._folder, "part", table))
+
+    def _merge_if_many(self) -> None:
+        if len(self._small) >= MERGE_PARTS:
             self._merge()
 
     def _merge(self) -> None:
@@ -111,6 +241,44 @@ class EpisodeWriter:
     def _replace(self, parts: Sequence[str], table: pa.Table) -> str:
         name = _write(self._folder, "_merge", table.replace_schema_metadata({_REPLACES: json.dumps(list(parts))}))
         return _finish_merge(self._folder, name, parts)
+
+
+@dataclass(eq=False)
+class _Errand:
+    """Rows on their way into a store."""
+
+    rows: Sequence[EpisodeRow]
+    write: Callable[[], None]
+    ended: threading.Event = field(default_factory=threading.Event)
+    error: BaseException | None = None
+
+
+class _Courier:
+    """A thread that runs one errand after the other, started with the first; it does not keep a process alive."""
+
+    def __init__(self) -> None:
+        self._errands: queue.SimpleQueue[_Errand | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def send(self, errand: _Errand) -> None:
+        """Run an errand when those before it have ended."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
+        self._errands.put(errand)
+
+    def dismiss(self) -> None:
+        """End the thread after its errands."""
+        self._errands.put(None)
+        self._thread = None
+
+    def _run(self) -> None:
+        while (errand := self._errands.get()) is not None:
+            try:
+                errand.write()
+            except BaseException as error:  # raised where the rows came from
+                errand.error = error
+            errand.ended.set()
 
 
 def read_table(folder: Folder, columns: list[str] | None = None) -> pa.Table:
@@ -166,6 +334,10 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
             yield f"{prefix}{key}: was {json.dumps(a)}, now {json.dumps(b)}"
 
 
+def _table(rows: Sequence[EpisodeRow]) -> pa.Table:
+    return pa.Table.from_pylist([row.as_dict() for row in rows], schema=SCHEMA).sort_by(SORTED_BY)
+
+
 def _part_names(folder: Folder) -> list[str]:
     return [name for name in folder.names() if name.startswith("part-") and name.endswith(".parquet")]
 
@@ -179,6 +351,11 @@ def _read_part(folder: Folder, name: str, columns: list[str] | None = None) -> p
         file = pq.ParquetFile(io.BytesIO(content))
         there = file.schema_arrow.names
         table = file.read(None if columns is None else [name for name in columns if name in there])
+        for place, column in enumerate(schema.names):
+            if column in LATER_COLUMNS and column not in there:
+                table = table.add_column(
+                    place, schema.field(column), pa.nulls(table.num_rows, schema.field(column).type)
+                )
     except (pa.ArrowInvalid, OSError) as error:
         raise UserError(
             f"{folder}/{name} is damaged ({error}); remove it and run again: only its rows are redone"

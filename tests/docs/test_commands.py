@@ -15,11 +15,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
 from mrtask.cli import STAGES
 from mrtask.suite.score import Request
+from pipeline import clean
 from pipeline.app.main import _for_hydra
 from pipeline.app.map_task import ScenarioOptions, scenario_files
 from pipeline.app.tool import load_options, overrides
@@ -151,6 +153,12 @@ def _check(command: list[str], folder: Path) -> None:
         _check_overrides(arguments[1:])
     elif program == "mrtask" and arguments[0] == "score":
         Request.parse(arguments[1:])
+    elif program == "mrtask" and arguments[0] == "champion":
+        assert all(one.isdecimal() for one in arguments[1:])
+    elif program == "mrtask" and arguments[0] == "clean":
+        clean._options(arguments[1:])
+    elif program == "mrtask" and arguments[0] == "status":
+        assert len(arguments) == 2
     elif program == "mrtask":
         assert arguments == ["doctor"]
     elif program == "python" and arguments[:2] == ["-m", "pipeline.live"]:
@@ -172,10 +180,6 @@ def _check(command: list[str], folder: Path) -> None:
         assert (ROOT / arguments[0]).is_file(), arguments[0]
         flags = {one for one in arguments if one.startswith("--")}
         assert all(flag in (ROOT / arguments[0]).read_text() for flag in flags)
-    elif program == "python" and arguments[0] == "-c":
-        names = re.match(r"from (\S+) import (\w+)", arguments[1])
-        assert names and hasattr(__import__(f"{names[1]}.{names[2]}", fromlist=["x"]), "set_champion")
-        compile(arguments[1], "-c", "exec")
     elif program == "python":
         assert arguments[:2] == ["-m", "pytest"] and all((ROOT / one).exists() for one in arguments[2:3]), command
     else:
@@ -211,11 +215,42 @@ def test_the_files_for_clusters_are_well_formed(tmp_path: Path) -> None:
     script = ROOT / "docs" / "howto" / "cluster" / "slurm.sh"
     assert subprocess.run(["bash", "-n", str(script)], capture_output=True).returncode == 0
     command = next(line for line in script.read_text().splitlines() if line.startswith("mrtask evaluate "))
-    _check_overrides([one.replace("$address", "10.0.0.1:6379") for one in shlex.split(command)[2:] if one != "$@"])
+    words = shlex.split(command.removesuffix("&"))[2:]
+    _check_overrides([one.replace("$address", "10.0.0.1:6379") for one in words if one != "$@"])
+    before_ray, *_ = script.read_text().partition("ray start")
+    assert "export RAY_AUTH_MODE=token RAY_AUTH_TOKEN\n" in before_ray
+    _check_the_array(ROOT / "docs" / "howto" / "cluster" / "slurm_array.sh", tmp_path)
     job = yaml.safe_load((ROOT / "docs" / "howto" / "cluster" / "kuberay.yaml").read_text())
+    assert job["spec"]["rayClusterSpec"]["authOptions"] == {"mode": "token"}
+    assert f"ray=={job['spec']['rayClusterSpec']['rayVersion']}\n" in (ROOT / "constraints.txt").read_text()
     program, stage, *overrides = job["spec"]["entrypoint"].split()
     assert (program, stage) == ("mrtask", "evaluate")
     _check_overrides(overrides)
     groups = [job["spec"]["rayClusterSpec"]["headGroupSpec"], *job["spec"]["rayClusterSpec"]["workerGroupSpecs"]]
     images = {group["template"]["spec"]["containers"][0]["image"] for group in groups}
     assert len(images) == 1  # one version of mrtask everywhere
+
+
+def _check_the_array(script: Path, folder: Path) -> None:
+    """Run each job of the array with a command in mrtask's place that says what it was given."""
+    (folder / "bin").mkdir()
+    (folder / "bin" / "activate").write_text(f'PATH="{folder}/bin:$PATH"')
+    (folder / "bin" / "mrtask").write_text('#!/bin/bash\nprintf "%s\\n" "$@"')
+    (folder / "bin" / "mrtask").chmod(0o755)
+    last = int(re.findall(r"^#SBATCH --array=0-(\d+)$", script.read_text(), re.MULTILINE)[0])
+    cells = set()
+    for number in range(last + 1):
+        environment = {**os.environ, "MRTASK_VENV": str(folder), "SLURM_ARRAY_TASK_ID": str(number)}
+        job = ["bash", str(script), "seed=1"]
+        stage, flag, *overrides = subprocess.run(
+            job, env=environment, capture_output=True, text=True, check=True
+        ).stdout.splitlines()
+        assert (stage, flag, overrides[-1]) == ("evaluate", "-m", "seed=1")
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        assert [one.is_sweep_override() for one in parsed] == [True, True, False]
+        [values] = BasicSweeper.split_arguments(parsed, max_batch_size=None)
+        _check_overrides(values[0])
+        cells.add(tuple(values[0]))
+    assert len(cells) == last + 1
+    one_more = {**environment, "SLURM_ARRAY_TASK_ID": str(last + 1)}
+    assert subprocess.run(["bash", str(script)], env=one_more, capture_output=True).returncode, "the array is too short"

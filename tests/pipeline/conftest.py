@@ -41,14 +41,12 @@ def _importable() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def ray_session(_cache: None, _importable: None) -> Iterator[None]:
     """Ray with two workers, started once; pools find it running and leave it so."""
-    import ray
-
-    from pipeline.backends import pool
+    from pipeline.backends.pool import Pool
     from pipeline.base.sections import Cluster
 
-    pool._start(Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3))
-    yield
-    ray.shutdown()
+    with Pool(Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=3)) as pool:
+        pool.start()
+        yield
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from mrtask.likelihood.table import build_table
 from pipeline.base.specs import MapOptions, PlannerSpec
 from pipeline.episodes import worker
 from pipeline.episodes.plan import EvaluationPlan
-from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one
+from pipeline.episodes.worker import Context, EpisodeKey, Provenance, run_chain, run_one, run_warm
 from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
 
@@ -79,6 +79,15 @@ def test_a_belief_that_does_not_adapt_runs_each_task_by_itself(context: Context)
     alone = [run_one(key, off) for key in keys(0, 1, 2)]
     assert [row.cost_s for row in run_chain(keys(0, 1, 2), off)] == [row.cost_s for row in alone]
     assert run_chain(keys(0), context)[0].cost_s == alone[0].cost_s, "the first task is the same either way"
+
+
+def test_a_pilot_times_no_workers_first_call(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    off, done = replace(context, adapt=None), list[str]()
+    monkeypatch.setattr(worker, "warm", lambda key, context: done.append(f"warm {key.planner}"))
+    monkeypatch.setattr(worker, "run_one", lambda key, context: done.append(f"run {key.number}"))
+    for key in keys(0, 1):
+        run_warm(key, off)
+    assert done == ["warm learned_myopic", "run 0", "run 1"]
 
 
 def test_what_is_run_in_one_go(context: Context) -> None:

@@ -15,7 +15,7 @@ SAYS = {
     "homes": ("there already: 24 homes",),
     "dataset": ("would label",),
     "train": ("would train frequency",),
-    "evaluate": ("24 episodes", "no episode was written"),
+    "evaluate": ("24 episodes", " on 2 workers, ", " CPU hours; no episode was written"),
     "report": ("on 24 episodes is up to date",),
     "realism": ("would make or read procthor homes", "there already: 24 homes", "would compare them"),
     "housekeep": ("would train frequency on human",),

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -138,7 +139,7 @@ def test_a_driver_stopped_again_and_again_goes_on(workspace: Workspace, cli: Cli
     planners = f"evaluation.planners=[nonlearned_myopic,{OWN}.Gated]"
     common = [*workspace.overrides, planners, f"+planner.Gated.gate={gate.folder}", "output_dir=outputs/stopped"]
     target, seen = workspace.path / "outputs" / "stopped", [pd.DataFrame({"planner": []})]
-    for how, passing, rows_there in ((signal.SIGINT, 2, 2), (signal.SIGKILL, 10, 13)):
+    for how, passing, rows_there in ((signal.SIGTERM, 2, 2), (signal.SIGKILL, 10, 13)):
         gate.shut_after(passing - (seen[-1]["planner"] == f"{OWN}.Gated").sum())
         seen.append(rows_until_stopped(how, common, workspace.path, target, max(rows_there, len(seen[-1]) + 1)))
     assert len(seen[1]) < 12 < len(seen[2]) < 24, "early and late"
@@ -170,8 +171,9 @@ def rows_until_stopped(
     children = [child for child in psutil.Process(driver.pid).children(recursive=True) if is_worker(child)]
     assert children
     driver.send_signal(how)
-    assert driver.wait(timeout=60) == (130 if how == signal.SIGINT else -how)
-    if how == signal.SIGINT:
+    assert driver.wait(timeout=60) == (130 if how == signal.SIGTERM else -how)
+    if how == signal.SIGTERM:
+        assert not list(Path(tempfile.gettempdir(), "ray").glob(f"session_*_{driver.pid}")), "Ray's logs stay"
         text = said.read_text()
         assert "interrupted; the same command continues from here" in text and "Traceback" not in text
     _, alive = psutil.wait_procs(children, timeout=20)

@@ -27,7 +27,7 @@ from pipeline.store.episode_row import SCHEMA
 from pipeline.store.records import EvaluationManifest, HomesManifest, StageTimes
 from tests.pipeline.harness import ROOT, Cli, Workspace
 
-TIMINGS = ["planning_s", "wall_s", "peak_memory_mb"]
+TIMINGS = ["planning_s", "wall_s", "peak_memory_mb", "node"]
 HOUSES = ("homes=procthor", "homes.train=1", "homes.validation=1", "homes.test=1")
 
 

@@ -29,6 +29,7 @@ def methods_sentences(data: ReportData) -> list[str]:
         *_planner_sentences(data),
         *_model_sentences(part(data.manifest, "model")),
         *_outcome_sentences(data.rows),
+        *_machine_sentences(data.rows),
         *_software_sentences(data.manifest),
     ]
 
@@ -128,6 +129,17 @@ def _outcome_sentences(rows: pd.DataFrame) -> list[str]:
         f"are 95 % bias-corrected and accelerated bootstrap intervals from {RESAMPLES:,} paired resamples "
         f"of {_resampled(rows)}.",
     ]
+
+
+def _machine_sentences(rows: pd.DataFrame) -> list[str]:
+    """On how many machines it ran, and what ran again because a worker died; their names are nobody's business."""
+    machines = rows["node"].nunique() if "node" in rows.columns else 0
+    again = int((rows["attempt"] > 1).sum()) if "attempt" in rows.columns else 0
+    sentences = [f"The episodes ran on {machines} machines."] if machines > 1 else []
+    if again:
+        have = "episode was" if again == 1 else "episodes were"
+        sentences.append(f"{again:,} {have} sent to a worker more than once; that changes no result.")
+    return sentences
 
 
 def _resampled(rows: pd.DataFrame) -> str:

@@ -49,6 +49,16 @@ def test_citations_are_those_of_the_citation_file():
     assert "note" not in bibtex(load_published(), None)
 
 
+def test_machines_are_counted_but_not_named():
+    frame = make_episodes(2, ["greedy", "pouct"], ["small"], [1]).assign(node="lab1", attempt=1)
+    one = " ".join(methods_sentences(collect_report_data(frame, MANIFEST, {})))
+    assert "machines" not in one and "more than once" not in one
+    frame.loc[0, ["node", "attempt"]] = ["lab2", 2]
+    two = " ".join(methods_sentences(collect_report_data(frame, MANIFEST, {})))
+    assert "The episodes ran on 2 machines. 1 episode was sent to a worker more than once" in two
+    assert "lab" not in two.replace("available", "")
+
+
 def test_the_paragraph_has_the_runs_numbers():
     frame = make_episodes(4, ["greedy", "pouct"], ["small", "large"], [1, 3])
     frame = fail(frame, frame.index.to_series() == 0)

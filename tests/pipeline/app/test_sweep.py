@@ -1,6 +1,8 @@
 """Sweeps: checked as a whole before they start, one folder and one MLflow child run per cell, one report."""
 
 import re
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from pipeline.app import sweep as sweeps
 from pipeline.app.stage import Session, Stage
 from pipeline.app.sweep import Sweep
 from pipeline.backends import runs
+from pipeline.base import console
 from pipeline.base.config import UserError
 from tests.pipeline.configured import configured
 from tests.pipeline.harness import Cli, Workspace
@@ -157,11 +160,79 @@ def test_each_cell_knows_its_place_and_the_end_compares_once() -> None:
 
 def test_cells_that_fail_are_listed_at_the_end_and_the_others_compared() -> None:
     _, compared, sweep = run_cells(fail={"seed=0", "seed=2"})
-    assert sweep.failed == ["a.seed=0: no home", "a.seed=2: no home"]
+    assert sweep.failed == {"a.seed=0": "no home", "a.seed=2": "no home"}
     assert sweep.record.failures == [("a.seed=0", "seed=0", "no home"), ("a.seed=2", "seed=2", "no home")]
     with pytest.raises(SystemExit, match="2"):
         sweep.end()
     assert compared == ["/out parent"] and sweep.record.ended == []
+
+
+class Workers:
+    """Stands in for the pool."""
+
+    slots = 2
+
+
+def run_side_by_side(run: Callable[[Session], None], cells: int = 3) -> Sweep:
+    """Runs a made-up stage that allows it on cells ``seed=0``, ``seed=1``, ..."""
+
+    @dataclass
+    class Made:
+        def run(self, session: Session) -> None:
+            run(session)
+
+        def outline(self, session: Session) -> tuple[()]:
+            return ()
+
+    stage = Stage(lambda config: Made(), locks="never", side_by_side=True)
+    config = configured()
+    sweep = Sweep(frozenset({"a.seed"}), {f"a.seed={seed}": config for seed in range(cells)})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweeps, "_record", lambda config, overrides: Record())
+        for seed in range(cells):
+            sweep.run_cell(stage, config, [f"a.seed={seed}"], pool=Workers())  # type: ignore[arg-type]
+    return sweep
+
+
+def test_after_the_first_cell_as_many_run_at_once_as_there_are_workers(capsys: pytest.CaptureFixture[str]) -> None:
+    meeting, met = threading.Barrier(2), list[str]()
+
+    def run(session: Session) -> None:
+        with console.Progress(5, "episodes") as progress:
+            progress.update(2)
+            if session.cell.title != "seed=0":
+                meeting.wait(timeout=20)  # it breaks where the others do not run meanwhile
+                met.append(console.under_way())
+                meeting.wait(timeout=20)
+                console.line("done")
+
+    run_side_by_side(run, cells=5).end()
+    assert met == ["4/10 episodes"] * 4
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "== cell 1/5: a.seed=0"
+    assert sorted(said[1:]) == sorted(
+        line
+        for seed in range(1, 5)
+        for line in (f"[seed={seed}] == cell {seed + 1}/5: a.seed={seed}", f"[seed={seed}]    done")
+    )
+
+
+def test_of_cells_that_run_at_once_mistakes_are_listed_and_a_bug_ends_the_sweep() -> None:
+    def mistaken(session: Session) -> None:
+        if session.cell.title != "seed=0":
+            raise UserError("no home")
+
+    sweep = run_side_by_side(mistaken)
+    with pytest.raises(SystemExit, match="2"):
+        sweep.end()
+    assert sweep.failed == {"a.seed=1": "no home", "a.seed=2": "no home"}
+
+    def buggy(session: Session) -> None:
+        if session.cell.title != "seed=0":
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run_side_by_side(buggy).end()
 
 
 def test_nothing_is_compared_where_no_cell_left_anything() -> None:

@@ -93,18 +93,6 @@ def test_a_database_whose_driver_is_missing() -> None:
     assert "the database's driver is not installed (No module named 'MySQLdb')" in said
 
 
-@pytest.mark.parametrize(
-    ("uri", "printed"),
-    [
-        ("http://me:secret@host:5000/runs?token=secret", "http://host:5000/runs"),
-        ("postgresql+psycopg2://me@host/runs", "postgresql+psycopg2://host/runs"),
-        ("sqlite:////data/a@b.db", "sqlite:////data/a@b.db"),
-    ],
-)
-def test_addresses_are_printed_without_secrets(uri: str, printed: str) -> None:
-    assert addresses.shown(uri) == printed
-
-
 @pytest.mark.parametrize("stage", ["train", "evaluate", "reproduce", "report", "optimality", "ablation", "priors"])
 def test_stages_open_the_store_before_they_make_anything(stage: str, cli: Cli, tmp_path: Path) -> None:
     done = cli(stage, "experiment=smoke", "model=frequency", "tracking.uri=sqlite:/one-slash.db")

@@ -1,18 +1,21 @@
 """The pool against dying, failing and hanging tasks."""
 
 import itertools
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from pipeline.backends import pool as pool_module
 from pipeline.backends.pool import ItemError, Outcome, Pool
 from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
+from pipeline.store import version
 from tests.pipeline import pool_tasks as tasks
 
 LOCAL = Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=2)
@@ -142,6 +145,50 @@ def test_memory_that_no_node_has_is_refused(ray_session: None) -> None:
         pytest.raises(UserError, match=r"cluster.memory_per_task_gb=1e.06: no node has that much; at most"),
     ):
         _ = opened.slots
+
+
+def test_workers_with_other_code_run_nothing(
+    ray_session: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def other(modules: tuple[str, ...]) -> dict[str, str]:
+        return {**version.worker_code(modules), "numba": "0.1", "mrtask.execution": "0" * 16}
+
+    monkeypatch.setattr(pool_module, "worker_code", other)
+    with Pool(LOCAL) as opened, pytest.raises(UserError, match=r"(?s)no node runs the code of this process:.*numba"):
+        list(opened.run(tasks.die_until, [1], tmp_path, 99))
+    assert not list(tmp_path.iterdir()), "it was run"
+    assert "left out, because its rows would not be this code's" in capsys.readouterr().out
+
+
+def test_an_older_build_cannot_answer_by_its_own_comparison(
+    ray_session: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(pool_module, "COMPARING", "json")  # any module that has no such function
+    with Pool(LOCAL) as opened, pytest.raises(UserError, match="another version of mrtask, or none"):
+        list(opened.run(tasks.die_until, [1], tmp_path, 99))
+    assert not list(tmp_path.iterdir()), "it was run"
+
+
+def test_ray_on_this_machine_listens_on_the_loopback_alone_and_asks_for_a_token(pool: Pool) -> None:
+    list(pool.run(tasks.square, range(2)))
+    listening = [
+        (process.name(), connection.laddr.ip)
+        for process in [psutil.Process(), *psutil.Process().children(recursive=True)]
+        for connection in process.net_connections("tcp")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert {"gcs_server", "raylet"} <= {name for name, _ in listening}
+    assert {ip for _, ip in listening} <= {"127.0.0.1", "::ffff:127.0.0.1"}, listening
+    assert os.environ["RAY_AUTH_MODE"] == "token" and os.environ["RAY_AUTH_TOKEN"]
+
+
+def test_a_token_is_its_owners_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = tmp_path / "auth_token"
+    token.write_text("secret")
+    token.chmod(0o644)
+    monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(token))
+    pool_module._keep_token_private()
+    assert token.stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize("address", ["ray://127.0.0.1:1", "127.0.0.1:1"])

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -318,3 +319,32 @@ for smoothing in map(float, sys.argv[1:]):
 @pytest.fixture(scope="module")
 def embedding_cache_dir(tmp_path_factory):
     return tmp_path_factory.mktemp("embeddings")
+
+
+def test_a_served_model_is_copied_once_a_version(store, good, poor, dataset, tmp_path, monkeypatch):
+    register(store, good, dataset)
+    copied, download = [], mlflow.artifacts.download_artifacts
+
+    def downloading(**options):
+        copied.append(options["artifact_uri"].rpartition("/")[2])
+        return download(**options)
+
+    def load(version):
+        return registry.load_registered(store, registry.version_uri(version), tmp_path / "cache").model.predict(NAMES)
+
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr(mlflow.artifacts, "download_artifacts", downloading)
+    monkeypatch.setattr(registry, "SQLITE", "no store is on this machine")
+    first = load("1")
+    assert copied == ["MLmodel", "artifacts"]
+    np.testing.assert_array_equal(load("1"), first)
+    assert len(copied) == 2, "it was downloaded again"
+    [folder] = (tmp_path / "cache" / "models").iterdir()
+    next(path for path in folder.rglob("*.csv")).unlink()  # to make room in the cache
+    np.testing.assert_array_equal(load("1"), first)
+    assert len(copied) == 4
+    register(store, poor, dataset)
+    assert not np.array_equal(load("2"), first)
+    assert len(list((tmp_path / "cache" / "models").iterdir())) == 2
+    assert list((tmp_path / "tmp").iterdir()) == []

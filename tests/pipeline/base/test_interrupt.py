@@ -38,6 +38,18 @@ def test_a_dropped_interrupt_is_raised_at_the_next_check(ray_session: None) -> N
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_schedulers_signal_is_an_interrupt_and_a_second_one_lets_the_first_tidy_up() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with interrupt.remembered():
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as Ray takes it over
+        interrupt.rearm()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interrupt.requested()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
 def test_an_interrupt_while_libraries_are_imported_is_one_line() -> None:
     command = [sys.executable, "-m", "pipeline.evaluate", "--help"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -10,9 +10,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 
 from mrtask.analysis.results.episodes import REQUIRED_COLUMNS
 from pipeline.base.config import UserError
+from pipeline.store import folder as storage
 from pipeline.store import rows as results
 from pipeline.store.episode_row import SCHEMA, EpisodeRow
 from pipeline.store.folder import Folder, locked
@@ -71,7 +73,7 @@ def test_the_columns_are_those_of_every_published_run() -> None:
         "cost_s: double", "cost_cells: double", "decisions: int32", "planning_s: double", "samples: int64",
         "seed: int64", "model_version: string", "config_hash: string", "code_version: string", "error: string",
         "start_x_m: double", "start_y_m: double", "attempt: int32", "wall_s: double", "peak_memory_mb: double",
-        "trace: string",
+        "trace: string", "node: string",
     ]  # fmt: skip
     assert set(REQUIRED_COLUMNS) <= set(SCHEMA.names)
 
@@ -91,6 +93,7 @@ def test_a_finished_row_is_on_disk_within_the_flush_interval(folder: Folder, mon
     assert not keys(folder)
     clock[0] += results.FLUSH_EVERY_S
     writer.tick()
+    writer.settle()
     assert sum(keys(folder).values()) == 1
 
 
@@ -101,6 +104,7 @@ def test_many_small_parts_are_merged_while_running(folder: Folder, monkeypatch: 
     writer = EpisodeWriter(folder)
     for number in range(30):
         writer.add(row(number))
+        writer.settle()
         assert len(folder.names()) <= 4 + number / 6
     writer.close()
     assert keys(folder) == Counter({(f"small-1-{number:03d}", "greedy"): 1 for number in range(30)})
@@ -187,6 +191,95 @@ def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"trial_id": ["small-1-000"], "robots": [1]}), tmp_path / "part-0.parquet")
     with pytest.raises(UserError, match=r"other columns than this version writes; .*overwrite=true"):
         read_episodes(Folder(str(tmp_path)))
+
+
+def test_rows_from_before_a_column_was_added_can_be_read(tmp_path: Path) -> None:
+    writer = EpisodeWriter(Folder(str(tmp_path)))
+    writer.add(row(0))
+    writer.close()
+    [part] = tmp_path.glob("part-*.parquet")
+    pq.write_table(pq.read_table(part).drop_columns(["node"]), part)
+    assert read_episodes(Folder(str(tmp_path)))["node"].isna().tolist() == [True]
+
+
+class Store:
+    """A store that takes nothing while it is down."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.down = False
+        original = MemoryFileSystem.pipe_file
+
+        def pipe_file(filesystem: MemoryFileSystem, path: str, value: bytes, **options: Any) -> None:
+            if self.down:
+                raise ConnectionError("nobody answers")
+            original(filesystem, path, value, **options)
+
+        monkeypatch.setattr(MemoryFileSystem, "pipe_file", pipe_file)
+        monkeypatch.setattr(results, "FLUSH_EVERY_S", 0.0)
+        monkeypatch.setattr(storage, "RETRY_EVERY_S", 0.01)
+
+
+def test_a_store_that_refuses_for_a_while_loses_nothing_and_holds_nobody_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, folder = Store(monkeypatch), Folder(f"memory://{tmp_path.name}/refusing")
+    with locked(folder, tmp_path):
+        writer = EpisodeWriter(folder, unsent=tmp_path / "unsent")
+        store.down = True
+        for number in range(20):  # returns at once, again and again, while nothing can be written
+            writer.add(row(number))
+        assert not keys(folder)
+        store.down = False
+        writer.close()
+    assert keys(folder) == Counter({(f"small-1-{number:03d}", "greedy"): 1 for number in range(20)})
+    said = capsys.readouterr().out.splitlines()
+    assert [line.count("tries again for up to 10 min") for line in said] == [1, 0] and "answers again" in said[1]
+    assert not (tmp_path / "unsent").exists()
+
+
+def test_rows_that_a_store_never_took_are_sent_by_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, folder = Store(monkeypatch), Folder(f"memory://{tmp_path.name}/dead")
+    unsent = tmp_path / "unsent"
+    with locked(folder, tmp_path):
+        writer = EpisodeWriter(folder, unsent=unsent)
+        writer.add(row(0))
+        writer.settle()
+        monkeypatch.setattr(storage, "PATIENCE_S", 0.05)
+        store.down = True
+        writer.add(row(1))
+        with pytest.raises(UserError, match=r"nobody answers; 1 row that it lacks went to .*unsent.*same command"):
+            writer.settle()
+        writer.close()  # has nothing left to do, and does not try for as long again
+        store.down = False
+        [taken] = [name for name in folder.names() if name.startswith("part-")]
+        # This one was taken, though the store's answer was lost.
+        Folder(str(unsent)).write("part-1.parquet", folder.read(taken) or b"")
+    capsys.readouterr()
+    assert EpisodeWriter(folder, unsent=unsent).finished() == {(f"small-1-{n:03d}", "greedy") for n in range(2)}
+    assert keys(folder).most_common(1)[0][1] == 1
+    assert "1 row sent that the store had not taken" in capsys.readouterr().out
+    assert list(unsent.iterdir()) == []
+
+
+def test_an_interrupted_run_writes_its_rows_in_the_time_that_a_scheduler_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, folder = Store(monkeypatch), Folder(f"memory://{tmp_path.name}/slow")
+    monkeypatch.setattr(results, "FLUSH_EVERY_S", 60.0)
+    with locked(folder, tmp_path):
+        writer = EpisodeWriter(folder, unsent=tmp_path / "unsent")
+        writer.add(row(0))
+        writer.flush_soon()
+        assert sum(keys(folder).values()) == 1
+        store.down = True
+        monkeypatch.setattr(results, "GRACE_S", 0.1)
+        writer.add(row(1))
+        writer.flush_soon()
+        store.down = False
+    assert "1 row that it lacks went to" in capsys.readouterr().out
+    assert sum(keys(Folder(str(tmp_path / "unsent"))).values()) == 1
 
 
 def test_no_episodes_is_a_clear_error(tmp_path: Path) -> None:
