@@ -38,6 +38,7 @@ def remembered() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        _requested = False
 
 
 def rearm() -> None:

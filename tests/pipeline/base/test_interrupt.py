@@ -47,6 +47,7 @@ def test_a_schedulers_signal_is_an_interrupt_and_a_second_one_lets_the_first_tid
             os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
         assert interrupt.requested()
+    assert not interrupt.requested()
     assert signal.getsignal(signal.SIGTERM) is before
 
 
