@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.motion import Position
+from mrtask.execution.sensor import Sensor
 from mrtask.execution.team_spec import Team
 from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
@@ -50,7 +51,7 @@ class Simulation:
     ) -> None:
         self.truth, self._seed = truth, seed
         seen = {*known_containers, *(np.flatnonzero(home_map.reachable).tolist() if known else ())}
-        sensor = team.spec.perception.sensor(automaton.propositions)
+        sensor = Sensor.of(team.spec.perception, automaton.propositions)
         known_rows = {container: truth[container] for container in sorted(seen)}
         self.team = TeamState(
             [container.id for container in home.containers],

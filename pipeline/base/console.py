@@ -8,8 +8,10 @@ import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from tqdm import tqdm
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 PLAIN_LINE_EVERY_S = 15.0
 INDENT = "   "
@@ -66,14 +68,21 @@ class Progress(AbstractContextManager["Progress"]):
         self._note = ""
         self._last_line_s = time.monotonic()
         self._first: tuple[int, float] | None = None
-        self._bar: tqdm[object] | None = None
-        if sys.stderr.isatty():
-            form = (
-                INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
-            )
-            self._bar = tqdm(
-                total=total, initial=done, unit=f" {unit}", bar_format=form, dynamic_ncols=True, leave=False
-            )
+        self._bar = self._opened() if sys.stderr.isatty() else None
+
+    def _opened(self) -> "tqdm[object]":
+        """Return the bar on the terminal."""
+        from tqdm import tqdm  # only a run has a bar, and a mistake is to be told at once
+
+        form = INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+        return tqdm(
+            total=self._total,
+            initial=self._done,
+            unit=f" {self._unit}",
+            bar_format=form,
+            dynamic_ncols=True,
+            leave=False,
+        )
 
     def update(self, count: int = 1, note: str = "") -> None:
         """Count ``count`` more as done; ``note`` ends the line."""

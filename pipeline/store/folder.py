@@ -18,8 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import fsspec
-
 from pipeline.base.config import UserError
 
 OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"}
@@ -53,6 +51,8 @@ class Folder:
     @contextmanager
     def _opened(self, problem: str, advice: str = "") -> Iterator[tuple[Any, str]]:
         """Give the file system and the path in it; turn its exceptions, of which each has its own, into `UserError`."""
+        import fsspec  # its import is a tenth of the time in which a mistake is answered
+
         try:
             filesystem, path = fsspec.core.url_to_fs(self.location)
         except (ImportError, ValueError) as error:

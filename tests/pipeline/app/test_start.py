@@ -11,7 +11,7 @@ from mrtask.cli import STAGES
 from mrtask.errors import USER_ERROR_EXIT
 from tests.pipeline.harness import ROOT
 
-HEAVY = {"ray", "mlflow", "torch", "matplotlib", "pandas", "scipy", "numba", "pyarrow"}
+HEAVY = {"ray", "mlflow", "torch", "matplotlib", "pandas", "scipy", "numba", "pyarrow", "numpy", "fsspec"}
 RUN = """
 import json, runpy, sys
 imported = []
@@ -57,4 +57,6 @@ def test_mistakes_and_help_are_answered_before_anything_heavy_is_imported() -> N
     assert "the sweep does not start:" in said and "evaluation.robots.0=0: must be at least 1" in said
     assert "Replays an episode in one HTML file" in said
     assert answers[1][1] & HEAVY == set(), "a wrong name was told after the searches were imported"
-    assert answers[-1][1] & (HEAVY - {"numba", "scipy"}) == set(), "only the check of planners' options needs these two"
+    assert answers[-1][1] & {"ray", "mlflow", "torch", "matplotlib", "pandas", "pyarrow"} == set(), (
+        "of checks of options in this process"
+    )
