@@ -30,6 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.errors import INTERRUPT_EXIT, InputError, refuse
 from mrtask.files import default_cache_dir
+from mrtask.names import suggest
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
@@ -54,6 +55,7 @@ def main(module_name: str, shorthands: Mapping[str, str] = MappingProxyType({}))
     """
     _prepare_process(module_name, shorthands)
     try:
+        _check_groups(sys.argv[1:])
         if {"--help", "-h"} & set(sys.argv[1:]):
             print(help_text(module_name, sys.argv[1:]))
             sys.exit()
@@ -154,6 +156,16 @@ def command_of(module_name: str) -> str:
     """Return how a stage is started: ``python -m pipeline.<name>`` in a checkout, ``mrtask <name>`` installed."""
     package, _, name = module_name.rpartition(".")
     return f"mrtask {name}" if package.startswith("mrtask") else f"python -m {module_name}"
+
+
+def _check_groups(arguments: Sequence[str]) -> None:
+    """Raise `InputError` where a group is given a number or the like; Hydra would end in a bare ValueError."""
+    for argument in arguments:
+        group, equals, option = argument.partition("=")
+        if equals and re.fullmatch(r"\w+", group) and re.fullmatch(r"[\d.+-]+|null|true|false", option):
+            options = sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+            if options and option not in options:
+                raise InputError(f"{group}={option}: no such option of the group; {suggest(option, options)}")
 
 
 def _flags_first(arguments: Sequence[str]) -> list[str]:
