@@ -26,10 +26,9 @@ from mrtask.homes.procthor import read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE
 from mrtask.homes.split import split_homes
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted
-from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.existence import given_existence
 from mrtask.likelihood.model import LikelihoodModel
-from mrtask.likelihood.options import TrainingOptions
+from mrtask.likelihood.options import BUNDLED, TrainingOptions
 from mrtask.likelihood.rows import count_triples, vocabulary
 from mrtask.likelihood.table import LikelihoodTable, build_table
 from mrtask.likelihood.training import fit

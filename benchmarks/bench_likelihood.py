@@ -26,10 +26,9 @@ from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import parse_house, read_houses
 from mrtask.homes.receptacles import BUNDLED_TABLE
 from mrtask.homes.split import HomeSplit, split_homes
-from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.frequency import FrequencyModel
 from mrtask.likelihood.kinds import KINDS
-from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
+from mrtask.likelihood.options import BUNDLED, PAPER_LAYERS, NetworkOptions, TrainingOptions
 from mrtask.likelihood.rows import SPLITS, count_triples, vocabulary
 from mrtask.likelihood.training import fit, score, score_unseen
 from pipeline.store.voted_contents import VotedContents

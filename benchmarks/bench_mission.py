@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from bench_likelihood import SMALL_LAYERS, dataset_of, generated_homes
+from bench_likelihood import HOMES, SMALL_LAYERS, SPLIT_SALT, generated_homes, triples_of
 from numpy.typing import NDArray
 
 from mrtask.analysis.results.statistics import compare
@@ -27,8 +27,10 @@ from mrtask.execution.trials import Trial, home_order, sample_trial
 from mrtask.files import default_cache_dir
 from mrtask.homes.home import SIZE_CLASSES, Home
 from mrtask.homes.procthor import read_houses
+from mrtask.homes.split import split_homes
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import PAPER_LAYERS, NetworkOptions, TrainingOptions
+from mrtask.likelihood.rows import SPLITS
 from mrtask.likelihood.table import LikelihoodTable, build_table
 from mrtask.likelihood.training import fit
 from mrtask.maps.cache import cached_map
@@ -94,16 +96,17 @@ def main() -> None:
     arguments = parser.parse_args()
 
     homes = list(read_houses(arguments.homes, arguments.assets)) if arguments.homes else generated_homes()
-    dataset = dataset_of(homes, "bench")
-    test_ids = set(dataset.manifest.split["test"])
-    test_homes = {home.id: home for home in homes if home.id in test_ids}
+    by_id = {home.id: home for home in homes}
+    by_split = split_homes(by_id, HOMES["train"], HOMES["validation"], None, SPLIT_SALT)
+    triples = triples_of([by_id[home_id] for name in SPLITS for home_id in getattr(by_split, name)], by_split)
+    test_homes = {home_id: by_id[home_id] for home_id in by_split.test}
     tables = {}
     for kind in arguments.kinds:
         network = NetworkOptions(layers=SMALL_LAYERS if kind == "mlp" else PAPER_LAYERS, threads=1, device="cpu")
-        model, _ = fit(dataset.triples("train"), dataset.triples("validation"), TrainingOptions(kind, network=network))
+        model, _ = fit(triples["train"], triples["validation"], TrainingOptions(kind, network=network))
         tables[kind] = build_table(model, test_homes.values())
         print(f"trained {kind}", flush=True)
-    beliefs = Beliefs(tables, dataset.manifest.counts["train"]["positive_share"])
+    beliefs = Beliefs(tables, triples["train"]["positives"].sum() / triples["train"]["count"].sum())
     trials = sample_trials(list(test_homes.values()), arguments.per_cell)
     tasks = [(trial, test_homes[trial.home_id], beliefs, arguments.samples) for trial in trials]
     began_s = time.monotonic()

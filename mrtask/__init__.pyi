@@ -37,6 +37,7 @@ from .planning.known import Known as Known
 from .planning.myopic import LearnedMyopic as LearnedMyopic
 from .planning.myopic import NonlearnedMyopic as NonlearnedMyopic
 from .planning.paper.planner import PaperPouct as PaperPouct
+from .planning.planner import Planner as Planner
 from .planning.planners import PLANNERS as PLANNERS
 from .planning.planners import make_planner as make_planner
 from .planning.pouct import Pouct as Pouct
@@ -44,7 +45,6 @@ from .planning.problem import WAIT as WAIT
 from .planning.problem import Assignment as Assignment
 from .planning.problem import Plan as Plan
 from .planning.problem import PlanInfo as PlanInfo
-from .planning.problem import Planner as Planner
 from .planning.problem import PlanningProblem as PlanningProblem
 from .planning.problem import RobotStatus as RobotStatus
 from .tasks.automaton import Automaton as Automaton

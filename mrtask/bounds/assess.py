@@ -20,8 +20,8 @@ from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planner import Plans
 from mrtask.planning.planners import as_planner, planner_name
-from mrtask.planning.problem import Plans
 from mrtask.planning.solver_belief import belief_of, draw_worlds
 from mrtask.tasks.automaton import Automaton, build_automaton
 

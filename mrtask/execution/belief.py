@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from mrtask.execution.perception import Sensor
+from mrtask.execution.sensor import Sensor
 
 Seen = NDArray[np.float64] | NDArray[np.bool_]
 """[O] what a search showed, as `Sensor.posterior` takes it."""

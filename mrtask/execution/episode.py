@@ -16,8 +16,9 @@ from mrtask.homes.home import Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planner import Plans
 from mrtask.planning.planners import as_planner, planner_name
-from mrtask.planning.problem import Plan, PlanningProblem, Plans
+from mrtask.planning.problem import Plan, PlanningProblem
 from mrtask.tasks.automaton import build_automaton
 
 CELL_M = 0.05

@@ -21,8 +21,8 @@ from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
 from mrtask.maps.home_map import HomeMap
+from mrtask.planning.planner import Planner, Plans
 from mrtask.planning.planners import as_planner
-from mrtask.planning.problem import Planner, Plans
 
 
 @dataclass(frozen=True)

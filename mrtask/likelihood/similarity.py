@@ -19,10 +19,10 @@ import pandas as pd
 from scipy.special import logit
 
 from mrtask.arrays import Floats
-from mrtask.likelihood.embeddings import BUNDLED, embed_names
+from mrtask.likelihood.embeddings import embed_names
 from mrtask.likelihood.metrics import log_loss
 from mrtask.likelihood.model import ModelError, check_names, clip_probs, read_triples, write_description, write_triples
-from mrtask.likelihood.options import SMOOTHINGS
+from mrtask.likelihood.options import BUNDLED, SMOOTHINGS
 from mrtask.likelihood.rows import TRIPLE
 from mrtask.names import name_to_text
 

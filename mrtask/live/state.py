@@ -15,6 +15,7 @@ from mrtask.execution.belief import prior_belief
 from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
+from mrtask.execution.sensor import Sensor
 from mrtask.execution.setbacks import Setback
 from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
 from mrtask.execution.team_state import TeamState
@@ -97,7 +98,7 @@ class LiveState:
         self.setup = setup
         self.containers = {container.id: index for index, container in enumerate(setup.home.containers)}
         self.objects = {name_to_text(name): index for index, name in enumerate(setup.task.propositions)}
-        sensor = setup.spec.perception.sensor(setup.task.propositions)
+        sensor = Sensor.of(setup.spec.perception, setup.task.propositions)
         self.names = list(robots)
         specs = [setup.spec_of(name) for name in self.names]
         self.team = TeamState(

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mrtask.errors import InputError
 from mrtask.names import suggest
-from mrtask.planning.problem import Planner, PlanOnly, Plans
+from mrtask.planning.planner import Planner, PlanOnly, Plans
 
 PAPERS_PLANNER = "pouct_paper"
 """The planner that the paper proposes, by our name for it."""

@@ -5,9 +5,8 @@ task object, that the object is there. It does not hold the truth. Legend for ar
 task objects, Z automaton states.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -202,45 +201,6 @@ def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise ValueError unless an option has one of its allowed values."""
     if value not in allowed:
         raise ValueError(f"{name} must be {' or '.join(map(repr, allowed))}, not {value!r}")
-
-
-@runtime_checkable
-class Planner(Protocol):
-    """Decide which robot goes where next."""
-
-    knows_contents: bool
-    """Whether the planner sees the true contents from the start, as a reference that shows the cost of uncertainty."""
-
-    def warm_up(self, problem: PlanningProblem) -> None:
-        """Do in advance what would slow down the first plan, such as compiling kernels."""
-        ...
-
-    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Assign all free robots and, where the problem allows it, any robot under way.
-
-        Equal input must give an equal plan.
-        """
-        ...
-
-
-class Plans(Protocol):
-    """The least that a planner must have."""
-
-    def plan(self, problem: PlanningProblem, seed: int) -> Plan:
-        """Return the team's assignments."""
-        ...
-
-
-class PlanOnly:
-    """A user's own planner that has only a `plan` method, wrapped as a `Planner`."""
-
-    knows_contents = False
-
-    def __init__(self, plan: Callable[[PlanningProblem, int], Plan]) -> None:
-        self.plan = plan
-
-    def warm_up(self, problem: PlanningProblem) -> None:
-        """Do nothing: nobody knows what this planner may compile."""
 
 
 def safe(automaton: Automaton) -> Bools:

@@ -14,12 +14,15 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import groupby
+from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import NoReturn
 
 import hydra
+from hydra import compose, initialize_config_dir
 from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
@@ -28,6 +31,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrtask.errors import INTERRUPT_EXIT, InputError, refuse, without_secrets
 from mrtask.files import default_cache_dir
+from mrtask.names import suggest
 from pipeline.app import sweep
 from pipeline.app.stage import Session, Stage
 from pipeline.backends.pool import Pool
@@ -52,6 +56,10 @@ def main(module_name: str, shorthands: Mapping[str, str] = MappingProxyType({}))
     """
     _prepare_process(module_name, shorthands)
     try:
+        _check_groups(sys.argv[1:])
+        if {"--help", "-h"} & set(sys.argv[1:]):
+            print(help_text(module_name, sys.argv[1:]))
+            sys.exit()
         with interrupt.remembered(), sweep.recorded():
             hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")(_task(module_name))()
     except (HydraException, OmegaConfBaseException, InputError) as error:
@@ -109,19 +117,62 @@ def _prepare_process(module_name: str, shorthands: Mapping[str, str]) -> None:
     if not sys.warnoptions:
         warnings.filterwarnings("ignore")
     sys.argv[1:] = [_written_out(argument, shorthands) for argument in sys.argv[1:]]
-    stage_help = sys.modules["__main__"].__doc__ if "--help" in sys.argv else ""
-    for name, value in (
-        ("stage_name", module_name),
-        ("stage_help", stage_help),
-        ("default_cache_dir", str(default_cache_dir())),
-    ):
-        OmegaConf.register_new_resolver(name, lambda value=value: value, replace=True)
+    OmegaConf.register_new_resolver("default_cache_dir", lambda: str(default_cache_dir()), replace=True)
     OmegaConf.register_new_resolver("sweep_dir", sweep.sweep_dir, replace=True)
 
 
 def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Print a bug's traceback as Python does, but for the secrets of addresses in it."""
     print(without_secrets("".join(traceback.format_exception(kind, error, trace))), end="", file=sys.stderr)
+
+
+def help_text(module_name: str, arguments: Sequence[str]) -> str:
+    """Return what ``--help`` says: the stage, the groups of the configuration, and all keys with these overrides.
+
+    Hydra's own help takes as long again as everything before it, since it reads the whole configuration for each group.
+    """
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        composed = compose("config", [one for one in arguments if not one.startswith("-")])
+    presets = sorted(CONF_DIR.glob("*/*.yaml"))
+    groups = [f"{name}: {', '.join(path.stem for path in of_group)}" for name, of_group in _by_folder(presets)]
+    command = command_of(module_name)
+    return "\n".join(
+        [
+            (sys.modules["__main__"].__doc__ or "").strip(),
+            "",
+            f"Usage: {command} [KEY=VALUE ...]",
+            "  experiment=smoke              a preset from conf/experiment",
+            "  evaluation.robots=[1,2]       any key below",
+            "  -m planner.pouct.samples=100,1000   one run for each value (sweep)",
+            "",
+            "== Groups (group=option) ==",
+            *groups,
+            "",
+            "== Configuration (override any of it by key=value) ==",
+            OmegaConf.to_yaml(composed),
+        ]
+    )
+
+
+def _by_folder(paths: Sequence[Path]) -> Iterator[tuple[str, list[Path]]]:
+    for folder, inside in groupby(paths, key=lambda path: path.parent):
+        yield folder.name, list(inside)
+
+
+def command_of(module_name: str) -> str:
+    """Return how a stage is started: ``python -m pipeline.<name>`` in a checkout, ``mrtask <name>`` installed."""
+    package, _, name = module_name.rpartition(".")
+    return f"mrtask {name}" if package.startswith("mrtask") else f"python -m {module_name}"
+
+
+def _check_groups(arguments: Sequence[str]) -> None:
+    """Raise `InputError` where a group is given a number or the like; Hydra would end in a bare ValueError."""
+    for argument in arguments:
+        group, equals, option = argument.partition("=")
+        if equals and re.fullmatch(r"\w+", group) and re.fullmatch(r"[\d.+-]+|null|true|false", option):
+            options = sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+            if options and option not in options:
+                raise InputError(f"{group}={option}: no such option of the group; {suggest(option, options)}")
 
 
 def _flags_first(arguments: Sequence[str]) -> list[str]:

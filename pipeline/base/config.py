@@ -20,7 +20,6 @@ from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.options import LikelihoodChoice
 from mrtask.names import did_you_mean, suggest
 from mrtask.planning.planners import PLANNERS, check_planner_name
-from mrtask.tasks.automaton import build_automaton, check_task
 from mrtask.tasks.formula import parse
 from mrtask.validation import problem
 from pipeline.base.sections import (
@@ -197,6 +196,8 @@ def _check_formula(config: Config) -> None:
     formula, homes = config.evaluation.formula, config.homes
     if formula is None:
         return
+    from mrtask.tasks.automaton import build_automaton, check_task  # imports numpy, which few mistakes need
+
     check_task(build_automaton(formula))
     if homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files:
         kinds = [kind for containers in load_catalogue().objects.values() for kind in containers.values()]

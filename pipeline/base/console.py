@@ -12,8 +12,10 @@ from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from tqdm import tqdm
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 from mrtask.errors import without_secrets
 
@@ -106,12 +108,21 @@ class Progress(AbstractContextManager["Progress"]):
         if self._labelled:
             _quiet.add(self)
         elif sys.stderr.isatty():
-            form = (
-                INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
-            )
-            self._bar = tqdm(
-                total=total, initial=done, unit=f" {unit}", bar_format=form, dynamic_ncols=True, leave=False
-            )
+            self._bar = self._opened()
+
+    def _opened(self) -> "tqdm[object]":
+        """Return the bar on the terminal."""
+        from tqdm import tqdm  # only a run has a bar, and a mistake is to be told at once
+
+        form = INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+        return tqdm(
+            total=self.total,
+            initial=self.done,
+            unit=f" {self.unit}",
+            bar_format=form,
+            dynamic_ncols=True,
+            leave=False,
+        )
 
     def update(self, count: int = 1, note: str = "") -> None:
         """Count ``count`` more as done; ``note`` ends the line."""

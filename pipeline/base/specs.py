@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrtask.likelihood.options import LikelihoodChoice
+from mrtask.planning.planner import Planner
 from mrtask.planning.planners import make_planner
-from mrtask.planning.problem import Planner
 from pipeline.base.sections import (
     Belief,
     Contents,

@@ -18,8 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import fsspec
-
 from pipeline.base import console
 from pipeline.base.config import UserError
 
@@ -61,6 +59,8 @@ class Folder:
     @contextmanager
     def _opened(self, problem: str, advice: str = "") -> Iterator[tuple[Any, str]]:
         """Give the file system and the path in it; turn its exceptions, of which each has its own, into `UserError`."""
+        import fsspec  # its import is a tenth of the time in which a mistake is answered
+
         try:
             filesystem, path = fsspec.core.url_to_fs(self.location)
         except (ImportError, ValueError) as error:

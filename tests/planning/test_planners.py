@@ -5,8 +5,9 @@ import sys
 import pytest
 
 from mrtask.errors import InputError
+from mrtask.planning.planner import PlanOnly
 from mrtask.planning.planners import PLANNERS, as_planner, make_planner, planner_name
-from mrtask.planning.problem import Plan, PlanOnly
+from mrtask.planning.problem import Plan
 
 
 class Own:

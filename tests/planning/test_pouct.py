@@ -5,12 +5,13 @@ import pytest
 
 from mrtask.planning import pouct
 from mrtask.planning.planners import PLANNERS, make_planner
-from mrtask.planning.problem import WAIT, Assignment, RobotStatus
+from mrtask.planning.problem import ANY_SAFE, NONE_UNNAMED, WAIT, Assignment, RobotStatus
 from mrtask.planning.team_kernel import history_after
 from mrtask.planning.team_model import team_model
 from mrtask.tasks.templates import PAPER_TEMPLATES
 from tests.planning.exact_solver import ExactSolver
 from tests.planning.fast_solver import FastSolver
+from tests.planning.play import Play
 from tests.planning.problems import make_problem, random_problem
 
 CASES = [
@@ -236,6 +237,40 @@ def test_a_robot_whose_target_was_found_by_another_is_redirected():
     assert 2 in {assignment.container for assignment in plan.assignments.values()}
     kept = make_planner("pouct", {"samples": 3000, "reassign": "free"}).plan(redirected, seed=0)
     assert set(kept.assignments) == {0}
+
+
+@pytest.mark.parametrize(
+    ("name", "decides"), [("pouct", True), ("known", True), ("greedy", False), ("learned_myopic", False)]
+)
+def test_safe_interactions_that_take_time_are_decisions_of_pouct_and_known(name, decides):
+    # Robot 0 stands at `a` and `b`, robot 1 at another `a`. On their own, both would begin with `a`.
+    truth = np.array([[True, True], [True, False], [False, False]])
+    options = {"samples": 500} if decides else {}
+
+    def played_with(interact_time_s):
+        problem = make_problem(
+            "F a & F b",
+            ["a", "b"],
+            [[0, 0], [5, 0], [9, 0]],
+            [[0, 0], [5, 0]],
+            truth.astype(float),
+            searched=[0, 1, 2],
+            interact_time_s=interact_time_s,
+        )
+        return Play(problem, truth).run(make_planner(name, options))
+
+    assert played_with(3.0).cost_s == pytest.approx(3.0 if decides else 6.0)
+    assert played_with(0.0).cost_s == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_only_where_interacting_takes_time_is_an_interaction_left_to_the_search(name):
+    options = {"samples": 300} if name in ("pouct", "pouct_paper", "known") else {}
+    for interact_time_s in (0.0, 1.0):
+        problem = random_problem(2, template="and2", robots=2, containers=5, interact_time_s=interact_time_s)
+        told = {a.interaction for a in make_planner(name, options).plan(problem, seed=0).assignments.values()}
+        decides = interact_time_s > 0 and name in ("pouct", "known")
+        assert told & {ANY_SAFE, NONE_UNNAMED} <= {NONE_UNNAMED if decides else ANY_SAFE}
 
 
 @pytest.mark.parametrize(

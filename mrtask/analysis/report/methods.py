@@ -8,6 +8,7 @@ import pandas as pd
 from mrtask.analysis.page.style import planner_label
 from mrtask.analysis.report.by_template import templates_in_order
 from mrtask.analysis.report.for_papers import latex_text, markdown_text
+from mrtask.analysis.report.planner_words import known_sentence
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.results.episodes import size_classes_in_order
 from mrtask.analysis.results.manifest import Manifest, part
@@ -105,7 +106,8 @@ def _planner_sentences(data: ReportData) -> list[str]:
         planner_label(name) + (f" (at most {count:,} samples)" if isinstance(count, int) else "")
         for name, count in samples.items()
     ]
-    return [f"The {'planner is' if len(named) == 1 else 'planners are'} {listed(named)}; samples are per decision."]
+    sentence = f"The {'planner is' if len(named) == 1 else 'planners are'} {listed(named)}; samples are per decision."
+    return [text for text in (sentence, known_sentence(data.rows)) if text]
 
 
 def _model_sentences(model: Manifest) -> list[str]:

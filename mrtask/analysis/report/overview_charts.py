@@ -110,10 +110,10 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
     baselines = [name for name in baselines if summary.compared(planner, name)]
     if not baselines:
         return None
-    cells, bounded = summary.cells, KNOWN in summary.planners and planner != KNOWN
+    cells, has_known = summary.cells, KNOWN in summary.planners and planner != KNOWN
     color = planner_looks(summary.planners)[planner][0]
     printed_look: dict[str, Any] = {"facecolor": "white", "edgecolor": GREY, "hatch": "////"}
-    bound_look: dict[str, Any] = {"linestyle": "none", "marker": "_", "color": BLACK}
+    level_look: dict[str, Any] = {"linestyle": "none", "marker": "_", "color": BLACK}
     figure, grid = panels(WIDTH_IN, 2.7 * len(baselines) + 0.4, len(baselines), sharex=True)
     places = np.arange(len(cells))
     for (axes,), baseline in zip(grid, baselines, strict=True):
@@ -123,16 +123,16 @@ def improvements(summary: Summary, published: Published, planner: str, baselines
         ours = [summary.improvement(cell, planner, baseline) for cell in cells]
         axes.bar(places - 0.2, [each.value for each in ours], 0.38, color=color)
         with_bars(axes, places - 0.2, ours, fmt="none", ecolor=BLACK, capsize=3)
-        if bounded:
-            bound = [summary.improvement(cell, KNOWN, baseline).value for cell in cells]
-            axes.plot(places - 0.2, bound, markersize=16, **bound_look)
+        if has_known:
+            level = [summary.improvement(cell, KNOWN, baseline).value for cell in cells]
+            axes.plot(places - 0.2, level, markersize=16, **level_look)
         axes.axhline(0, color=BLACK, linewidth=0.8)
         axes.set(ylabel="improvement (%)", title=f"{planner_label(planner)} over {planner_label(baseline)}")
         axes.grid(axis="x", visible=False)
     grid[-1, 0].set_xticks(places, _cell_names(cells))
     own = Patch(color=color, label=f"{planner_label(planner)}, 95 % interval")
-    bound_handle = Line2D([], [], markersize=14, label="known contents (bound)", **bound_look)
-    legend_below(figure, [own, Patch(label="published", **printed_look), *([bound_handle] if bounded else [])])
+    level_handle = Line2D([], [], markersize=14, label="known", **level_look)
+    legend_below(figure, [own, Patch(label="published", **printed_look), *([level_handle] if has_known else [])])
     return figure
 
 

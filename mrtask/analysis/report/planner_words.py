@@ -13,9 +13,9 @@ from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.run_facts import Fact
 from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.published import Published
-from mrtask.analysis.results.roles import BASELINES
+from mrtask.analysis.results.roles import BASELINES, KNOWN
 from mrtask.analysis.results.statistics import Summary
-from mrtask.names import listed
+from mrtask.names import counted, listed
 from mrtask.planning.planners import PAPERS_PLANNER
 
 Options = Mapping[str, Any]
@@ -44,7 +44,8 @@ DESCRIPTIONS = {
         "the belief, greedy roll-outs and progressive widening. It takes the most visited joint action{redirects}."
     ),
     "known": (
-        "A reference and no contestant: the search of pouct, told where everything is. It shows what uncertainty costs."
+        "A reference and no contestant: it is told where everything is, and shows what uncertainty costs. It follows a "
+        "fastest run where that is computed exactly, and searches like pouct elsewhere."
     ),
 }
 OWN = "A planner of the user's own, {path}. Its options stand under Run."
@@ -111,6 +112,27 @@ def model_sentence(model: Manifest) -> str | None:
         return None
     whose = "the paper's network" if kind == PAPERS_MODEL else f"not the paper's network, which is {PAPERS_MODEL} here"
     return f"All planners but known are given the likelihoods of the model {kind}: {whose}."
+
+
+def known_sentence(rows: pd.DataFrame) -> str | None:
+    """Return in how many episodes `known` was exact, and what it is elsewhere; None where it did not run.
+
+    An episode without samples needed no search at any of its decisions.
+    """
+    own = rows[rows["planner"] == KNOWN]
+    if own.empty:
+        return None
+    if "samples" not in own.columns:
+        return f"The run did not record where {KNOWN} was searched; there it is a reference, not a bound."
+    exact, total = int((own["samples"] == 0).sum()), counted(len(own), "episode")
+    if exact == 0:
+        return f"{KNOWN} was searched in all of its {total}: it is a reference here, not a bound."
+    if exact == len(own):
+        return f"{KNOWN} was solved exactly in all of its {total} (0 samples), so no planner can be faster."
+    return (
+        f"{KNOWN} was solved exactly in {exact} of its {total} (0 samples), where no planner can be faster; it is a "
+        "reference, not a bound, in the others, where it was searched."
+    )
 
 
 def homes_sentence(summary: Summary, published: Published) -> str | None:

@@ -23,7 +23,13 @@ from mrtask.analysis.report.by_template import draw_templates, results_by_templa
 from mrtask.analysis.report.methods import bibtex, methods_latex, methods_markdown, methods_sentences
 from mrtask.analysis.report.paper_claims import claims_table, count_verdicts, judge_claims
 from mrtask.analysis.report.planner_table import planner_table
-from mrtask.analysis.report.planner_words import describe_planners, homes_sentence, model_sentence, protocol
+from mrtask.analysis.report.planner_words import (
+    describe_planners,
+    homes_sentence,
+    known_sentence,
+    model_sentence,
+    protocol,
+)
 from mrtask.analysis.report.reliability import draw_reliability
 from mrtask.analysis.report.report_data import ReportData
 from mrtask.analysis.report.trial_browser import (
@@ -75,7 +81,8 @@ def paper_table_section(data: ReportData) -> Content:
     """The paper's table with our results in it."""
     table = cell_tables.paper_table(data.summary, data.published, data.planner)
     title = "Mean costs and improvements by home size and team size"
-    return _content("paper_table", _table("paper", title, table, "planner", wide=True), marks=MARKS)
+    shown = _table("paper", title, table, "planner", wide=True)
+    return _content("paper_table", shown, marks=MARKS, known=known_sentence(data.rows))
 
 
 def variants_section(data: ReportData) -> Content | None:
@@ -127,7 +134,8 @@ def figures_section(data: ReportData) -> Content:
         _picture(
             "improvement",
             "Improvement by home size and team size",
-            "Share of the baseline's mean cost that is saved, with 95 % paired bootstrap intervals.",
+            "Share of the baseline's mean cost that is saved, with 95 % paired bootstrap intervals. "
+            f"{known_sentence(data.rows) or ''}".strip(),
             overview_charts.improvements(summary, published, planner, BASELINES) if planner else None,
         ),
         _picture(
@@ -267,7 +275,8 @@ def trials_section(data: ReportData) -> Content | None:
 def planners_section(data: ReportData) -> Content:
     """All planners over all episodes."""
     table = planner_table(data.summary, data.published)
-    return _content("planners", _table("planners", "All planners over all episodes", table, "planner"))
+    shown = _table("planners", "All planners over all episodes", table, "planner")
+    return _content("planners", shown, known=known_sentence(data.rows))
 
 
 def optimality_section(data: ReportData) -> Content | None:
@@ -293,6 +302,7 @@ def gap_section(data: ReportData) -> Content | None:
         model=planner_label(ladder.model),
         counted=data.manifest.get("true_likelihoods") == "counted",
         certified=any(one.certified for one in gaps),
+        known=known_sentence(data.rows),
         sentences=gap.gap_sentences(gaps),
     )
 
@@ -341,6 +351,7 @@ def method_section(data: ReportData) -> Content:
         _table("real-world", title, cell_tables.real_world_table(data.published), "trial"),
         planners=describe_planners(data),
         model=model_sentence(part(data.manifest, "model")),
+        known=known_sentence(data.rows),
         homes=homes_sentence(data.summary, data.published),
         resamples=RESAMPLES,
         trials=len(homes),

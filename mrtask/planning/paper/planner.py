@@ -13,6 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
+from mrtask.arrays import Bools
 from mrtask.planning.paper import leaf_kernel
 from mrtask.planning.paper import search_kernel as kernel
 from mrtask.planning.paper.action_kernel import LIMIT, ActionLimits, ActionRules, first_action
@@ -180,8 +181,10 @@ def action_limits(rules: ActionRules, nodes: int) -> ActionLimits:
 class _Choice:
     """The rule for choosing an edge of a node.
 
-    A harmless action replaces an interaction that can hurt (see `safe`) if it costs no more as far as the samples can
-    tell: the means lie within their standard errors.
+    An action without an interaction that can hurt (see `safe`) replaces one with it if it costs no more as far as the
+    samples can tell: the means lie within their standard errors. Likewise any other action replaces a detour, which is
+    an interaction that can hurt and leads no nearer to acceptance. A detour that takes no time is left to teams that
+    have nothing else: they could make one after the other at one instant and go round in circles.
     """
 
     def __init__(self, problem: PlanningProblem, search: PaperSearch, choice: str) -> None:
@@ -189,19 +192,31 @@ class _Choice:
         self._deciders = int(search.root.robots.undecided.sum())
         self._objects = problem.presence_prob.shape[1]
         self._can_hurt = (problem.automaton.advancing & ~safe(problem.automaton))[problem.state]
+        self._detours = self._can_hurt & ~_nearer(problem)
+        self._at_once = _at_once(problem)
 
     def edge(self, node: int, allow_wait: bool = True) -> int:
         """Return the chosen edge, or NONE if the node has none; ``allow_wait`` says whether waiting may be chosen."""
         tree = self._tree
         edges = [edge for edge in edges_of(tree, node) if allow_wait or tree.edges[edge].action != WAIT]
-        best = min(edges, key=self._rank, default=NONE)
-        if best == NONE or not self._hurts(best):
+        robot = int(tree.nodes[node].robot)
+        in_no_circle = [edge for edge in edges if not (self._is_detour(edge) and self._takes_no_time(robot, edge))]
+        best = self._best(in_no_circle if node > 0 else in_no_circle or edges)
+        for is_worse in (self._hurts, self._is_detour):
+            if best != NONE and is_worse(best):
+                best = self._unless_as_good(best, self._best([edge for edge in edges if not is_worse(edge)]))
+        return best
+
+    def _best(self, edges: list[int]) -> int:
+        return min(edges, key=self._rank, default=NONE)
+
+    def _unless_as_good(self, best: int, other: int) -> int:
+        """Return the other edge if there is one and it costs no more as far as the samples can tell."""
+        if other == NONE:
             return best
-        harmless = min((edge for edge in edges if not self._hurts(edge)), key=self._rank, default=NONE)
-        if harmless == NONE:
-            return best
-        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edges[[best, harmless]].visits ** -0.5))
-        return harmless if mean_cost_s(tree, harmless) <= mean_cost_s(tree, best) + error_s else best
+        tree = self._tree
+        error_s = tree.moments[MAX_SPREAD] * np.hypot(*(tree.edges[[best, other]].visits ** -0.5))
+        return other if mean_cost_s(tree, other) <= mean_cost_s(tree, best) + error_s else best
 
     def assignment(self, action: int) -> Assignment:
         """Return the assignment that an action of the tree stands for."""
@@ -218,9 +233,29 @@ class _Choice:
         visits = int(self._tree.edges[edge].visits)
         return (-visits if self._by_visits else 0, mean_cost_s(self._tree, edge))
 
+    def _is_detour(self, edge: int) -> bool:
+        action = int(self._tree.edges[edge].action)
+        return action != WAIT and bool(self._detours[action % self._objects])
+
+    def _takes_no_time(self, robot: int, edge: int) -> bool:
+        return bool(self._at_once[robot, int(self._tree.edges[edge].action) // self._objects])
+
     def _hurts(self, edge: int) -> bool:
         action = int(self._tree.edges[edge].action)
         return action != WAIT and bool(self._can_hurt[action % self._objects])
+
+
+def _nearer(problem: PlanningProblem) -> Bools:
+    """Return the interactions [O] that lead nearer to acceptance now."""
+    steps = problem.automaton.steps_with(problem.obtainable())
+    return np.asarray(steps[problem.automaton.transitions[problem.state]] < steps[problem.state])
+
+
+def _at_once(problem: PlanningProblem) -> Bools:
+    """Return the containers [R, C] at which a robot's interaction would take no time at all."""
+    ways_s = np.array([robot.travel_s for robot in problem.robots])
+    timeless = np.array([problem.kinds[robot.kind].interact_time_s == 0.0 for robot in problem.robots])
+    return np.asarray((ways_s == 0.0) & problem.searched & timeless[:, None])
 
 
 def _joint_action(problem: PlanningProblem, search: PaperSearch, choose: _Choice) -> dict[int, Assignment]:

@@ -4,9 +4,17 @@ import dataclasses
 
 import pytest
 
-from mrtask.analysis.report.planner_words import DESCRIPTIONS, departures, describe_planners, homes_sentence, protocol
+from mrtask.analysis.report.planner_words import (
+    DESCRIPTIONS,
+    departures,
+    describe_planners,
+    homes_sentence,
+    known_sentence,
+    protocol,
+)
 from mrtask.analysis.report.report_data import collect_report_data
 from mrtask.analysis.report.report_page import render_report
+from mrtask.analysis.report.sections import SECTIONS
 from mrtask.planning.paper.planner import PaperOptions
 from mrtask.planning.planners import PLANNERS
 from tests.analysis.synthetic import make_episodes
@@ -90,3 +98,26 @@ def test_the_page_says_it_all():
     assert "the model similarity: not the paper&#39;s network" in method
     assert "pouct_paper (the paper&#39;s text with our own value of leaves" in checklist
     assert "which our simulations do not repeat" not in page and "pipeline.scenario</code> plays them" in method
+
+
+def test_known_is_a_reference_where_it_was_searched_and_a_bound_where_it_was_exact():
+    frame = make_episodes(2, ["pouct", "known"], ["small"], [1, 2])
+    own, small_teams = frame["planner"] == "known", frame["robots"] == 1
+    assert known_sentence(frame) == "known was searched in all of its 4 episodes: it is a reference here, not a bound."
+    frame.loc[own & small_teams, "samples"] = 0
+    assert "exactly in 2 of its 4 episodes (0 samples)" in known_sentence(frame)
+    assert "a reference, not a bound, in the others" in known_sentence(frame)
+    frame.loc[own, "samples"] = 0
+    assert "exactly in all of its 4 episodes" in known_sentence(frame) and "bound" not in known_sentence(frame)
+    assert known_sentence(frame[~own]) is None
+    assert "did not record" in known_sentence(frame.drop(columns="samples"))
+
+
+def test_known_is_explained_beside_every_gap_to_it():
+    data = collect_report_data(make_episodes(2, ["learned_myopic", "pouct", "known"]), {}, {})
+    said = "it is a reference here, not a bound"
+    for name in ("table", "planners", "method", "papers"):
+        section = next(one for one in SECTIONS if one.anchor == name)
+        assert said in section.content(data).html, name
+    figures = next(one for one in SECTIONS if one.anchor == "figures").content(data)
+    assert said in next(one for one in figures.pictures if one.name == "improvement").caption

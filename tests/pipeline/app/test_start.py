@@ -11,7 +11,7 @@ from mrtask.cli import STAGES
 from mrtask.errors import USER_ERROR_EXIT
 from tests.pipeline.harness import ROOT
 
-HEAVY = {"ray", "mlflow", "torch", "matplotlib", "pandas", "scipy", "numba", "pyarrow"}
+HEAVY = {"ray", "mlflow", "torch", "matplotlib", "pandas", "scipy", "numba", "pyarrow", "numpy", "fsspec"}
 RUN = """
 import json, runpy, sys
 imported = []
@@ -49,12 +49,14 @@ def test_mistakes_and_help_are_answered_before_anything_heavy_is_imported() -> N
         ["report", "evaluation.planer=1"],
         ["evaluate", "evaluation.planners=[pouct,pouctt]"],
         ["evaluate", "-m", "evaluation.robots=[1],[0]"],
+        ["train", "trainer=3"],
         ["replay", "--help"],
     )
-    assert [code for code, _ in answers] == [USER_ERROR_EXIT, USER_ERROR_EXIT, USER_ERROR_EXIT, 0]
+    assert [code for code, _ in answers] == [*[USER_ERROR_EXIT] * 4, 0]
     assert "evaluation.planer: no such key; did you mean planners?" in said
     assert "unknown planner 'pouctt'; did you mean pouct?" in said
     assert "the sweep does not start:" in said and "evaluation.robots.0=0: must be at least 1" in said
+    assert "trainer=3: no such option of the group; allowed: default" in said
     assert "Replays an episode in one HTML file" in said
     assert answers[1][1] & HEAVY == set(), "a wrong name was told after the searches were imported"
-    assert answers[-1][1] & (HEAVY - {"numba", "scipy"}) == set(), "only the check of planners' options needs these two"
+    assert answers[-1][1] & {"ray", "mlflow", "torch", "matplotlib", "pandas", "pyarrow"} == set(), "of earlier checks"
