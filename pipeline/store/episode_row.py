@@ -19,6 +19,8 @@ class EpisodeRow:
     home_source: str | None = None
     size_class: str
     robots: Int32
+    team: str | None = None
+    """The team's name; None in rows of earlier versions."""
     template: str | None = None
     formula: str | None = None
     objects: tuple[str, ...] | None = None
