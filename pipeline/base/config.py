@@ -37,6 +37,7 @@ from pipeline.base.sections import (
     Map,
     Model,
     ModelKind,
+    NamedRobot,
     Perception,
     PlannerVariant,
     Team,
@@ -332,6 +333,8 @@ def _in_short(value: object) -> str:
 
 def _suggest_keys(path: list[str]) -> str:
     model: Any = Config
+    if path[:2] == ["team", "robots"]:
+        return suggest(path[-1], list(NamedRobot.model_fields))
     for part in path[:-1]:
         known = model.model_fields.get(part)
         if known is None:

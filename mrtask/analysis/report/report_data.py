@@ -17,7 +17,7 @@ from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
 from mrtask.analysis.report.run_facts import missing_episodes, model_warning, without_folders
 from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
-from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
+from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order, without_cells
 from mrtask.analysis.results.manifest import Manifest
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.published import Published, load_published
@@ -129,9 +129,19 @@ class ReportData:
         return find(self.summary, self.published, self.planner)
 
     @property
+    def _no_cells(self) -> str | None:
+        """Why some costs are not in grid cells."""
+        if not without_cells(self.rows):
+            return None
+        return (
+            "Robots of the team differ in speed, so that a second is not one number of grid cells: where they do, costs "
+            "are in seconds only, and the published costs, of robots that are all alike, have none beside them."
+        )
+
+    @property
     def warnings(self) -> list[str]:
         """All warnings that a reader should see before trusting the answer."""
-        of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest))
+        of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest), self._no_cells)
         found = [*self.findings.warnings, *mixture_warnings(self.rows), *of_run, *self._played[1]]
         return [text for text in found if text]
 
