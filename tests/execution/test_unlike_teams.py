@@ -82,10 +82,9 @@ def test_a_team_that_lacks_an_ability_fails_and_says_what_would_help(mapped):
     assert error(replace(SCOUT, opens=None)) == (
         f"nobody in team 'mine' can do the task; scout could if it handled {obj}"
     )
-    assert (
-        f"; robot 2 could if it opened {sorted(holding)[0]}" in error(SCOUT, RobotSpec(opens=others))
-        or len(holding) > 1
-    )
+    assert error(SCOUT, RobotSpec(opens=others)).endswith(f"; scout could if it handled {obj}")
+    said = error(RobotSpec(opens=others))
+    assert any(said.endswith(f"; robot 1 could if it opened {kind}") for kind in holding)
     with pytest.raises(InputError, match=f"nobody handles {obj}; scout could if it handled {obj}"):
         check_doable(Team((replace(SCOUT, handles=("Nothing",)),), "mine"), f"F {obj}", (obj,))
 
@@ -97,12 +96,12 @@ def flat(home):
 def test_unknown_types_and_a_start_in_a_wall_are_refused(mapped):
     homes, map_of = mapped
     home = next(iter(homes.values()))
-    with pytest.raises(InputError, match="handles: no type 'Mugg'; did you mean Mug?"):
+    with pytest.raises(InputError, match=r"handles: no type 'Mugg'; did you mean Mug\?"):
         check_types(Team((RobotSpec(handles=("Mugg",)),), "mine"))
-    with pytest.raises(InputError, match="opens: no type 'Frige'; did you mean Fridge?"):
+    with pytest.raises(InputError, match=r"opens: no type 'Frige'; did you mean Fridge\?"):
         check_types(Team((RobotSpec(opens=("Frige",)),), "mine"))
     obj = next(container.objects[0] for container in home.containers if container.objects)
     trial = make_trial(home, map_of(home), f"F {obj}")
     outside = Team((RobotSpec(start_m=(-9.0, -9.0), name="r7"),), "mine")
-    with pytest.raises(InputError, match="team 'mine', r7: start: in the home .* is more than 0.5 m from"):
+    with pytest.raises(InputError, match=r"team 'mine', r7: start: in the home .* is more than 0\.5 m from"):
         run_episode(replace(trial, team=outside), home, map_of(home), flat(home), make_planner("greedy"))

@@ -227,7 +227,7 @@ def test_a_bad_team_is_refused(robots: str, said: str, tmp_path: Path) -> None:
     asked = "[1,2]" if "team 'mine' has 1" in said else "1"
     common = ("evaluation.planners=greedy", f"evaluation.robots={asked}")
     with pytest.raises(InputError) as refused:
-        configured("team.name=mine", f"team.robots={robots.replace('[]', '[]')}", *common)
+        configured("team.name=mine", f"team.robots={robots}", *common)
     assert said in str(refused.value)
     if robots != "[]":
         file = tmp_path / "mine.yaml"
