@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.base.config import UserError
-from pipeline.store.episode_row import SCHEMA, TRACE, EpisodeRow
+from pipeline.store.episode_row import ADDED_LATER, SCHEMA, TRACE, EpisodeRow
 from pipeline.store.folder import Folder
 
 FLUSH_EVERY_S = 2.0
@@ -179,6 +179,9 @@ def _read_part(folder: Folder, name: str, columns: list[str] | None = None) -> p
         file = pq.ParquetFile(io.BytesIO(content))
         there = file.schema_arrow.names
         table = file.read(None if columns is None else [name for name in columns if name in there])
+        for place, field in enumerate(schema):
+            if field.name in ADDED_LATER and field.name not in there:
+                table = table.add_column(place, field, pa.nulls(table.num_rows, field.type))
     except (pa.ArrowInvalid, OSError) as error:
         raise UserError(
             f"{folder}/{name} is damaged ({error}); remove it and run again: only its rows are redone"
