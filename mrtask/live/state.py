@@ -52,16 +52,16 @@ class LiveSetup:
     """[C, O]"""
     spec: RobotSpec = field(default_factory=RobotSpec)
     """The robots that ``specs`` does not name."""
-    specs: Mapping[str, RobotSpec] = field(default_factory=dict)
-    """Name -> the robot that differs. All see as well as ``spec``."""
-    make_map: MakeMap | None = None
-    """As `maps_for` takes it."""
     planner: str = "pouct"
     planner_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     lost_after_s: float | None = None
     """A robot counts as lost when it has said nothing for so long after its order should have ended, or, if it sends
     heartbeats, after its last word. None: it never does."""
+    specs: Mapping[str, RobotSpec] = field(default_factory=dict)
+    """Name -> the robot that differs. All see as well as ``spec``."""
+    make_map: MakeMap | None = None
+    """As `maps_for` takes it."""
 
     def spec_of(self, name: str) -> RobotSpec:
         """Return what a robot of this name is like."""

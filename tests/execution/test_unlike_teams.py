@@ -1,4 +1,4 @@
-"""Teams of robots that differ: what each planner has them do obeys the rules of the world, and what nobody can is said."""
+"""Teams of robots that differ: planners keep to what each robot can do, and what nobody can do is said."""
 
 from dataclasses import replace
 
