@@ -68,7 +68,8 @@ def test_rows_come_back_with_the_fixed_schema(folder: Folder) -> None:
 def test_the_columns_are_those_of_every_published_run() -> None:
     assert [f"{field.name}: {field.type}" for field in SCHEMA] == [
         "trial_id: string", "home_id: string", "home_source: string", "size_class: string", "robots: int32",
-        "team: string", "template: string", "formula: string", "objects: list<item: string>", "planner: string", "status: string",
+        "team: string",
+        "template: string", "formula: string", "objects: list<item: string>", "planner: string", "status: string",
         "cost_s: double", "cost_cells: double", "decisions: int32", "planning_s: double", "samples: int64",
         "seed: int64", "model_version: string", "config_hash: string", "code_version: string", "error: string",
         "start_x_m: double", "start_y_m: double", "attempt: int32", "wall_s: double", "peak_memory_mb: double",
