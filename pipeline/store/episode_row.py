@@ -63,5 +63,5 @@ SCHEMA = pa.schema([(field.name, _column(_HINTS[field.name])) for field in field
 """The columns of the Parquet files, in their order."""
 TRACE = "trace"
 """The column with most of a row's size; only the episodes that are drawn need it."""
-ADDED_LATER = ("team",)
+ADDED_LATER = frozenset({"team"})
 """Columns that rows of earlier versions do not have; they are read as None."""

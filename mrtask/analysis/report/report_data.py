@@ -141,8 +141,8 @@ class ReportData:
         if not without_cells(self.rows):
             return None
         return (
-            "Robots of the team differ in speed, so a second is not one number of grid cells: where they do, costs are in "
-            "seconds only, and no cost stands beside those published for robots that are all alike."
+            "Robots of the team differ in speed, so a second is not one number of grid cells: where they do, costs are "
+            "in seconds only, and no cost stands beside those published for robots that are all alike."
         )
 
     @property
