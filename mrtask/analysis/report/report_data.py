@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -191,10 +191,7 @@ def collect_report_data(
     summaries = {variant: summarise(rows_of(checked, variant)) for variant in variants_of(checked)}
     from_optimal = summarise_optimality(optimality) if optimality is not None else ()
     shown = without_folders(manifest, Path.cwd())
-    published = load_published()
-    if without_cells(checked):  # its robots are all alike
-        published = replace(published, cost_cells={}, improvement_percent={})
-    return ReportData(checked, shown, homes, summaries, published, from_optimal)
+    return ReportData(checked, shown, homes, summaries, load_published(), from_optimal)
 
 
 def variants_of(episodes: pd.DataFrame) -> list[Variant]:
