@@ -26,7 +26,7 @@ from pipeline.store.layout import EPISODES, REPORT_INDEX, RUNS
 
 Arm = tuple[str, Sequence[str]]
 """A name and the overrides, ``key=value``."""
-OF_TRIALS = {"seed", "map", "homes", "contents", "perception", "evaluation", "belief"}
+OF_TRIALS = {"seed", "map", "homes", "contents", "perception", "evaluation", "team", "belief"}
 """The parts of the configuration that decide which trials exist, and what is learned from one to the next; the
 planners' options and likelihoods are the rest of an arm."""
 

@@ -67,7 +67,8 @@ class ReplayJob:
         row = rows[planners[0]]
         home = next(home for home in plan.context.homes if home.id == row["home_id"])
         automaton = build_automaton(row["formula"], tuple(row["objects"]))
-        replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes)
+        called = [robot.name for robot in plan.spec.team.robots]
+        replay = make_replay(trial_id, row["size_class"], row["template"], automaton, home, episodes, called)
         command = f"python -m pipeline.replay trial_id={trial_id} planners=[{','.join(planners)}] output_dir={folder}"
         target, name = folder / REPLAYS, f"{trial_id}.html"
         target.write(name, render_replay(replay, command).encode())

@@ -58,7 +58,7 @@ class ReproduceJob:
         trainings = (self.train.training, *self.rivals)
         with compiled_meanwhile(spec.planners):
             home_set = timed("homes", lambda: homes.make(spec.homes, pool))
-            check_task_in(spec.options, home_set)
+            check_task_in(spec, home_set)
             labelled = timed("dataset", lambda: rows.build(home_set, spec.homes.datasets_dir, pool))
             trained = timed("train", lambda: [training.train(labelled, one) for one in trainings])
         asked_for = spec.options.model_uri != registry.CHAMPION_URI

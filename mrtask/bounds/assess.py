@@ -16,6 +16,7 @@ from mrtask.bounds.one_robot import SearchMade
 from mrtask.execution.acts import ActKind
 from mrtask.execution.episode import run_episode
 from mrtask.execution.simulation import Simulation
+from mrtask.execution.team_maps import MakeMap
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
@@ -34,12 +35,14 @@ def assess(
     planner: Plans,
     worlds: int,
     name: str | None = None,
+    make_map: MakeMap | None = None,
 ) -> dict[str, Any]:
     """Return one trial's row: means over ``worlds`` worlds of the planner's cost and of both bounds, in s.
 
     Args:
         likelihood: [C, O] the model's probability that container c holds the trial's object o.
         name: the planner's name. With None, it is its name among ours, or its import path.
+        make_map: as `mrtask.execution.team_maps.maps_for` takes it.
 
     Raises:
         ValueError: no world is possible under the belief.
@@ -47,7 +50,7 @@ def assess(
     automaton = build_automaton(trial.formula, trial.objects)
     nothing = np.zeros(likelihood.shape, dtype=bool)
     problem = Simulation(
-        home, home_map, automaton, likelihood, nothing, team=trial.team, start_cell=trial.start_cell
+        home, home_map, automaton, likelihood, nothing, team=trial.team, start_cell=trial.start_cell, make_map=make_map
     ).problem()
     rng = np.random.default_rng(key_seed(trial.seed, "worlds"))
     drawn = draw_worlds(belief_of(problem), worlds, rng)
@@ -60,6 +63,7 @@ def assess(
             likelihood,
             planner,
             name,
+            make_map=make_map,
         )
         runs.append(searches_of(result.trace, home, automaton))
         if result.cost_s is not None:

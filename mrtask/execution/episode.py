@@ -7,9 +7,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from mrtask.execution.abilities import missing_ability
 from mrtask.execution.acts import ActKind
 from mrtask.execution.simulation import Simulation
-from mrtask.execution.team_spec import MakeMap
+from mrtask.execution.team_maps import MakeMap
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import Trial, key_seed
 from mrtask.homes.home import Home
@@ -19,7 +20,7 @@ from mrtask.maps.home_map import HomeMap
 from mrtask.planning.planner import Plans
 from mrtask.planning.planners import as_planner, planner_name
 from mrtask.planning.problem import Plan, PlanningProblem
-from mrtask.tasks.automaton import build_automaton
+from mrtask.tasks.automaton import NEVER_ACCEPTS, build_automaton
 
 CELL_M = 0.05
 """The paper's grid cell, the unit of cost in its table."""
@@ -81,10 +82,11 @@ class Episode:
         self.decisions, self.samples = 0, 0
         self.error: str | None = None
         """The reason why the episode failed, once it has failed."""
+        self._home, self._automaton = home, build_automaton(trial.formula, trial.objects)
         self._simulation = Simulation(
             home,
             home_map,
-            build_automaton(trial.formula, trial.objects),
+            self._automaton,
             _matrix(likelihood, home, trial.objects),
             np.array([[obj in container.objects for obj in trial.objects] for container in home.containers]),
             team=trial.team,
@@ -95,6 +97,8 @@ class Episode:
             seed=trial.seed,
         )
         self._max_decisions, self._idle_decisions = max_decisions, 0
+        if trial.team.limited and self._hopeless():
+            self.error = f"nobody in team {trial.team.name!r} can do the task{self._what_would_help()}"
 
     @property
     def done(self) -> bool:
@@ -130,7 +134,7 @@ class Episode:
         moved = self._simulation.advance()
         self._idle_decisions = 0 if self._simulation.news else self._idle_decisions + 1
         if not moved:
-            self.error = self._stuck()
+            self.error = self._stuck() + self._what_would_help()
         elif self._idle_decisions == IDLE_DECISIONS_PER_ROBOT * self.trial.team.robots:
             self.error = f"no progress for {self._idle_decisions} decisions: {self.name} neither searches nor interacts"
         elif self.decisions >= self._max_decisions and not self._simulation.accepted:
@@ -159,6 +163,19 @@ class Episode:
             trace=trace,
             searched=tuple(bool(seen) for seen in self._simulation.searched),
         )
+
+    def _hopeless(self) -> bool:
+        """Whether the robots' abilities and the home's furniture rule the task out, wherever the objects are."""
+        steps = self._automaton.steps_with(self.problem.obtainable())
+        return bool(steps[self._automaton.initial] == NEVER_ACCEPTS)
+
+    def _what_would_help(self) -> str:
+        """Return the end of a sentence on which robot could do the task after a change, or nothing."""
+        if not self.trial.team.limited:
+            return ""
+        simulation = self._simulation
+        said = missing_ability(self._automaton, self.trial.team, self._home, simulation.maps, simulation.truth)
+        return "" if said is None else f"; {said}"
 
     def _stuck(self) -> str:
         missing = self._simulation.missing()

@@ -6,7 +6,7 @@ pipeline, which adds many workers, continuation and the report.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mrtask.execution.episode import EpisodeResult, run_episode
+from mrtask.execution.team_checks import check_doable, check_types
+from mrtask.execution.team_maps import MakeMap
 from mrtask.execution.trials import Trial, TrialOptions, check_formula, home_order, sample_trial
 from mrtask.homes.home import ALL_SIZE_CLASSES, Home
 from mrtask.likelihood.model import LikelihoodModel
 from mrtask.likelihood.table import build_table
 from mrtask.maps.cache import cached_map
-from mrtask.maps.home_map import HomeMap
+from mrtask.maps.home_map import DEFAULT_ROBOT_RADIUS_M, HomeMap
 from mrtask.planning.planner import Planner, Plans
 from mrtask.planning.planners import as_planner
 
@@ -65,16 +67,22 @@ def run_experiment(
 
     Raises:
         InputError: a planner is unknown, the likelihood has no method `predict`, the formula of the options is none of
-            a task, or no home has one of its objects.
+            a task, no home has one of its objects, or the team of the options cannot do any task.
         ValueError: a plan cannot be carried out, or no home has enough objects.
     """
     chosen = _planners(planners)
     if options is not None and options.formula is not None:
         check_formula(options.formula, homes)
     teams = (robots,) if isinstance(robots, int) else tuple(robots)
+    if options is not None and options.team is not None:
+        check_types(options.team, homes)
+        for size in teams:
+            check_doable(options.team.first(size), options.formula, options.formula_objects)
     known = {home.id: home for home in homes}
     table = build_table(likelihood, homes, options.formula_objects if options else ())
-    map_of = lru_cache(maxsize=None)(lambda home_id: cached_map(known[home_id], cache_dir))
+    map_of = lru_cache(maxsize=None)(
+        lambda home_id, radius_m=DEFAULT_ROBOT_RADIUS_M: cached_map(known[home_id], cache_dir, robot_radius_m=radius_m)
+    )
     sizes = [name for name in ALL_SIZE_CLASSES if any(home.size_class == name for home in homes)]
     cells = [(size, team) for size in sizes for team in teams]
     orders = {cell: home_order(homes, *cell, seed) for cell in cells}
@@ -85,7 +93,7 @@ def run_experiment(
             trial = sample_trial(*cell, number, orders[cell], lambda home: map_of(home.id), seed=seed, options=options)
             home = known[trial.home_id]
             probs = table.matrix(home, trial.objects)
-            for result in _episodes(trial, home, map_of(home.id), probs, chosen):
+            for result in _episodes(trial, home, map_of(home.id), probs, chosen, partial(map_of, home.id)):
                 rows.append(episode_row(trial, home, result))
                 if on_progress is not None:
                     on_progress(Progress(len(rows), total, trial, result))
@@ -100,6 +108,7 @@ def episode_row(trial: Trial, home: Home, result: EpisodeResult) -> dict[str, An
         "home_source": home.source,
         "size_class": trial.size_class,
         "robots": trial.team.robots,
+        "team": trial.team.name,
         "template": trial.template,
         "formula": trial.formula,
         "objects": list(trial.objects),
@@ -123,7 +132,12 @@ def _planners(planners: Named) -> dict[str, Planner]:
 
 
 def _episodes(
-    trial: Trial, home: Home, home_map: HomeMap, likelihood: NDArray[np.float64], planners: Mapping[str, Planner]
+    trial: Trial,
+    home: Home,
+    home_map: HomeMap,
+    likelihood: NDArray[np.float64],
+    planners: Mapping[str, Planner],
+    make_map: MakeMap,
 ) -> Iterator[EpisodeResult]:
     for name, planner in planners.items():
-        yield run_episode(trial, home, home_map, likelihood, planner, name)
+        yield run_episode(trial, home, home_map, likelihood, planner, name, make_map=make_map)

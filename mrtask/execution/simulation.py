@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from mrtask.execution.acts import ActKind
 from mrtask.execution.belief import prior_belief
-from mrtask.execution.make_trial import free_cell_near
 from mrtask.execution.motion import Position
 from mrtask.execution.sensor import Sensor
-from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
+from mrtask.execution.team_maps import MakeMap, in_reach, maps_for, start_cells
+from mrtask.execution.team_spec import Team
 from mrtask.execution.team_state import TeamState
 from mrtask.execution.trace import Trace
 from mrtask.execution.trials import key_seed
@@ -54,7 +54,7 @@ class Simulation:
         seed: int = 0,
     ) -> None:
         self.truth, self._seed = truth, seed
-        maps = maps_for(team, home, home_map, make_map)
+        maps = self.maps = maps_for(team, home, home_map, make_map)
         self.in_reach = in_reach(team, home, maps)
         """[C] whether some robot can get to the container and use it."""
         seen = {*known_containers, *(np.flatnonzero(self.in_reach).tolist() if known else ())}
@@ -66,7 +66,7 @@ class Simulation:
             automaton,
             prior_belief(likelihood, self.in_reach, sensor, known_rows),
             specs=team.members,
-            starts=[_start(member, maps, start_cell) for member in team.members],
+            starts=[Position.at(cell) for cell in start_cells(team, maps, start_cell)],
         )
         self._decide_again = False
 
@@ -165,11 +165,3 @@ class Simulation:
                 break
         self.team.release()
         return failed
-
-
-def _start(member: RobotSpec, maps: Maps, start_cell: tuple[int, int]) -> Position:
-    """Return where a robot starts; where it does not fit, the nearest place where it does."""
-    own = maps[member.radius_m]
-    if member.start_m is not None:
-        return Position.at(free_cell_near(own, member.start_m))
-    return Position.at(start_cell if own.free[start_cell] else free_cell_near(own, own.cell_center(start_cell), np.inf))

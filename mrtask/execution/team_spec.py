@@ -1,6 +1,6 @@
 """The robots of a team: how fast each is, how long its acts take, what it can reach and touch, and how well it sees."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -9,13 +9,9 @@ import numpy as np
 from mrtask.arrays import Bools
 from mrtask.execution.acts import ActKind
 from mrtask.execution.perception import Perception
-from mrtask.homes.home import Container, Home, Point
-from mrtask.maps.home_map import HomeMap, build_map
+from mrtask.homes.home import Container, Point
 from mrtask.names import name_to_text
 
-Maps = Mapping[float | None, HomeMap]
-"""A home's maps by the robots' radius in metres; None: the home's own map."""
-MakeMap = Callable[[float], HomeMap]
 ALIKE = "alike"
 """The name of a team whose robots do not differ."""
 
@@ -104,6 +100,17 @@ class Team:
         speeds = {member.speed_m_per_s for member in self.members}
         return speeds.pop() if len(speeds) == 1 else None
 
+    @property
+    def limited(self) -> bool:
+        """Whether some robot does not handle or open everything, or is of another width than the home's map is for."""
+        return any(
+            one is not None for member in self.members for one in (member.handles, member.opens, member.radius_m)
+        )
+
+    def called(self, robot: int) -> str:
+        """Return a robot's name, or what it is called that has none."""
+        return self.members[robot].name or f"robot {robot + 1}"
+
     def first(self, robots: int) -> Self:
         """Return the team of the first so many robots.
 
@@ -113,25 +120,6 @@ class Team:
         if not 1 <= robots <= self.robots:
             raise ValueError(f"team {self.name!r} has {self.robots} robots, so it cannot be asked for {robots}")
         return replace(self, members=self.members[:robots])
-
-
-def maps_for(team: Team, home: Home, home_map: HomeMap, make: MakeMap | None = None) -> Maps:
-    """Return the home's map, and maps on the same grid for the robots of another width.
-
-    Args:
-        make: returns the map for a radius in metres; by default it is built like the home's.
-    """
-    ways = "shortest" if home_map.steps is None else "soft"
-    make = make or (lambda radius_m: build_map(home, home_map.resolution_m, radius_m, ways))
-    widths = {member.radius_m for member in team.members} - {None}
-    return {None: home_map} | {width: make(width) for width in widths if width is not None}
-
-
-def in_reach(team: Team, home: Home, maps: Maps) -> Bools:
-    """Return the home's containers [C] that some robot can get to and use."""
-    return np.asarray(
-        np.any([maps[member.radius_m].reachable & member.can_use(home.containers) for member in team.members], axis=0)
-    )
 
 
 def _among(names: Sequence[str], allowed: tuple[str, ...] | None) -> Bools:

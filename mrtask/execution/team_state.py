@@ -21,7 +21,8 @@ from mrtask.execution.letters import serving_order
 from mrtask.execution.motion import Position
 from mrtask.execution.robot import Labels, Robot
 from mrtask.execution.setbacks import NAVIGATE, SEARCH
-from mrtask.execution.team_spec import Maps, RobotSpec
+from mrtask.execution.team_maps import Maps
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Letter, Trace
 from mrtask.homes.home import Container
 from mrtask.maps.home_map import HomeMap

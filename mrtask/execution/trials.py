@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mrtask.execution.team_spec import RobotSpec, Team
+from mrtask.execution.team_spec import ALIKE, RobotSpec, Team
 from mrtask.homes.home import Home
 from mrtask.maps.home_map import HomeMap
 from mrtask.tasks.automaton import NEVER_ACCEPTS, Automaton, build_automaton, check_task
@@ -57,6 +57,11 @@ class TrialOptions:
     """The share of unsearched containers is drawn between these for each trial; all others are known from the start."""
     cost: str = "makespan"
     """One of `COSTS`."""
+
+    @property
+    def team_name(self) -> str:
+        """The name of the team, whatever its size."""
+        return ALIKE if self.team is None else self.team.name
 
 
 def trial_id(size_class: str, robots: int, number: int) -> str:

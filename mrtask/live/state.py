@@ -17,7 +17,8 @@ from mrtask.execution.motion import Position
 from mrtask.execution.robot import Robot
 from mrtask.execution.sensor import Sensor
 from mrtask.execution.setbacks import Setback
-from mrtask.execution.team_spec import MakeMap, Maps, RobotSpec, Team, in_reach, maps_for
+from mrtask.execution.team_maps import MakeMap, Maps, in_reach, maps_for
+from mrtask.execution.team_spec import RobotSpec, Team
 from mrtask.execution.team_state import TeamState
 from mrtask.homes.home import Home, Point
 from mrtask.live.barriers import Barrier, barred_map, doorways

@@ -65,9 +65,10 @@ class MapTask(Section):
         """The robots' speed and times."""
         return RobotSpec(self.speed_m_per_s, self.search_time_s, self.interact_time_s)
 
-    def map_of(self, home: Home) -> HomeMap:
-        """Return the home's map, from the cache if it is there."""
-        return cached_map(home, default_cache_dir() / "maps", self.resolution_m, self.robot_radius_m)
+    def map_of(self, home: Home, radius_m: float | None = None) -> HomeMap:
+        """Return the home's map, from the cache if it is there; for robots of another radius, theirs."""
+        radius_m = self.robot_radius_m if radius_m is None else radius_m
+        return cached_map(home, default_cache_dir() / "maps", self.resolution_m, radius_m)
 
     def model(self) -> LikelihoodModel | None:
         """Return the likelihood model, None for ``uniform``; raises `InputError` where a registered one is unusable."""

@@ -11,15 +11,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from mrtask.errors import InputError
+from mrtask.execution.team_checks import check_doable, check_types
+from mrtask.execution.team_spec import RobotSpec
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.options import LikelihoodChoice
-from mrtask.names import did_you_mean, suggest
-from mrtask.planning.planners import PLANNERS, check_planner_name
+from mrtask.names import counted, did_you_mean, suggest
+from mrtask.planning.planners import PAPERS_PLANNER, PLANNERS, check_planner_name
 from mrtask.tasks.formula import parse
 from mrtask.validation import problem
 from pipeline.base.sections import (
@@ -33,9 +36,11 @@ from pipeline.base.sections import (
     Map,
     Model,
     ModelKind,
+    NamedRobot,
     Perception,
     PlannerVariant,
     ResidenceHomes,
+    Team,
     Tracking,
     Trainer,
 )
@@ -81,6 +86,7 @@ class Config(Section):
     likelihood: Likelihood
     perception: Perception
     evaluation: Evaluation
+    team: Team
     realism: Realism
     housekeep: Housekeep
     ablation: Ablation
@@ -107,6 +113,11 @@ class Config(Section):
     def maps(self) -> MapOptions:
         """How homes are mapped."""
         return MapOptions(self.map, self.cache_dir)
+
+    @property
+    def robot(self) -> RobotSpec:
+        """What a robot is like of which the team says nothing else."""
+        return self.evaluation.robot(self.perception)
 
     @property
     def training_spec(self) -> TrainingSpec:
@@ -137,6 +148,7 @@ class Config(Section):
             maps=self.maps,
             likelihood=self.likelihood,
             perception=self.perception,
+            team=self.team,
             belief=self.belief,
             tracking=self.tracking,
             output_dir=self.output_dir,
@@ -156,12 +168,14 @@ def load(composed: DictConfig) -> Config:
     except OmegaConfBaseException as error:
         raise UserError(str(error)) from error
     _read_formula(plain)
+    team_file = _read_team(plain)
     try:
         config = Config.model_validate(plain)
     except ValidationError as error:
-        raise UserError("\n".join(explain_error(item) for item in error.errors())) from error
+        raise UserError("\n".join(_named(explain_error(item), team_file) for item in error.errors())) from error
     _check_planners(config)
     _check_formula(config)
+    _check_team(config)
     if config.belief.adapt and not config.perception.perception().sees_all:
         raise UserError(
             "belief.adapt=true: takes what searches showed for the truth, so it needs perception that does not err; "
@@ -191,15 +205,78 @@ def _read_formula(plain: Any) -> None:
     options["formula_file"] = None
 
 
+def _read_team(plain: Any) -> str | None:
+    """Move the team in the file ``team.file`` to ``team``, and return the file's name."""
+    options = plain["team"]
+    if not isinstance(options, dict) or (name := options.get("file")) is None:
+        return None
+    if options.get("robots"):
+        raise UserError("team.file: give it or a team of conf/team, not both")
+    path = absolute(Path(str(name)))
+    try:
+        read = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UserError(f"team.file={name}: cannot be read ({error})") from error
+    if not isinstance(read, dict) or not read.get("robots"):
+        raise UserError(
+            f"team.file={name}: has no robots; list them as in conf/team/mixed.yaml, each with what sets it apart: "
+            "robots: [{name: scout, speed_m_per_s: 1.0, handles: []}]"
+        )
+    plain["team"] = {"name": path.stem, "file": None, **read}
+    return str(name)
+
+
+def _named(message: str, team_file: str | None) -> str:
+    """Return what is wrong with a team together with the file that it is from."""
+    return f"{team_file}: {message}" if team_file and message.startswith("team") else message
+
+
+def _check_team(config: Config) -> None:
+    """Refuse a team that cannot do what is asked of it, as far as that can be known before the homes are made."""
+    team, options = config.team.team(config.robot), config.evaluation
+    if team is None:
+        return
+    if max(options.robots) > team.robots:
+        have = ",".join(map(str, range(1, team.robots + 1)))
+        raise UserError(
+            f"evaluation.robots={list(options.robots)}: team {team.name!r} has {counted(team.robots, 'robot')}; "
+            f"give evaluation.robots=[{have}], or more robots in the team"
+        )
+    asked = team.first(max(options.robots))
+    for name in dict.fromkeys((*options.planners, *config.optimality.planners)):
+        if config.spec(name).planner == PAPERS_PLANNER and any(one.handles is not None for one in asked.members):
+            raise UserError(
+                f"{name}: the paper's planner does not know robots that cannot handle every object, and team "
+                f"{team.name!r} has some; leave it out of evaluation.planners and optimality.planners, or leave out "
+                "their `handles`"
+            )
+    if _only_catalogue(config):
+        check_types(team)
+    formula = options.formula
+    objects: tuple[str, ...] = ()
+    if formula is not None:
+        from mrtask.tasks.automaton import build_automaton  # imports numpy, which few mistakes need
+
+        objects = build_automaton(formula).propositions
+    for robots in options.robots:
+        check_doable(team.first(robots), formula, objects)
+
+
+def _only_catalogue(config: Config) -> bool:
+    """Whether all that lies in the homes is from the catalogue."""
+    homes = config.homes
+    return homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files
+
+
 def _check_formula(config: Config) -> None:
     """Refuse a formula that is no task; its objects, as far as they can be known before the homes are made."""
-    formula, homes = config.evaluation.formula, config.homes
+    formula = config.evaluation.formula
     if formula is None:
         return
     from mrtask.tasks.automaton import build_automaton, check_task  # imports numpy, which few mistakes need
 
     check_task(build_automaton(formula))
-    if homes.source == "generated" and homes.contents == "procthor" and not config.evaluation.homes.files:
+    if _only_catalogue(config):
         kinds = [kind for containers in load_catalogue().objects.values() for kind in containers.values()]
         parse(formula, {name for kind in kinds for name in kind["likelihoods"]})
 
@@ -268,6 +345,8 @@ def _in_short(value: object) -> str:
 
 def _suggest_keys(path: list[str]) -> str:
     model: Any = Config
+    if path[:2] == ["team", "robots"]:
+        return suggest(path[-1], list(NamedRobot.model_fields))
     for part in path[:-1]:
         known = model.model_fields.get(part)
         if known is None:

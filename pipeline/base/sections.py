@@ -3,12 +3,14 @@
 The schema as a whole is `pipeline.base.config`.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from mrtask.execution import perception
+from mrtask.execution import perception, team_spec
+from mrtask.execution.team_spec import ALIKE, RobotSpec
 from mrtask.homes.generator.residence_size import (
     CONTAINERS_ALLOWED,
     FLATS_ALLOWED,
@@ -246,6 +248,61 @@ class Perception(Rates):
         return perception.Perception(self.rates(), {name: one.rates() for name, one in self.objects.items()})
 
 
+_Types = Annotated[tuple[str, ...], BeforeValidator(listed), AfterValidator(distinct)]
+
+
+class TeamRobot(Section):
+    """What one robot is like; null: as the configuration says of all."""
+
+    speed_m_per_s: Annotated[float, Field(gt=0)] | None = None
+    search_time_s: Annotated[float, Field(ge=0)] | None = None
+    interact_time_s: Annotated[float, Field(ge=0)] | None = None
+    radius_m: Annotated[float, Field(ge=0, le=2)] | None = None
+    start: tuple[float, float] | None = None
+    handles: _Types | None = None
+    opens: _Types | None = None
+
+    def spec(self, like: RobotSpec, name: str) -> RobotSpec:
+        """Return the robot, which is ``like`` this one in all that is not said of it."""
+        said = self.model_dump(exclude_none=True, include=set(TeamRobot.model_fields) - {"start"})
+        return replace(like, **said, start_m=self.start, name=name)
+
+
+class NamedRobot(TeamRobot):
+    """A robot of a team, with the name that legends show; without one it is called by its number."""
+
+    name: str = ""
+
+
+class Team(Section):
+    """The robots; none: as many as ``evaluation.robots`` says, all alike."""
+
+    name: str = Field(min_length=1)
+    robots: tuple[NamedRobot, ...]
+    file: None
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        if self.robots and self.name == ALIKE:
+            raise ValueError(f"{ALIKE!r} is the team whose robots do not differ; give this one a name of its own")
+        if not self.robots and self.name != ALIKE:
+            raise ValueError(
+                f"the team {self.name!r} has no robots; list them under robots, each with its speed_m_per_s"
+            )
+        if self.robots:
+            self.team(RobotSpec())
+        return self
+
+    def team(self, like: RobotSpec) -> team_spec.Team | None:
+        """Return the robots for the library, ``like`` this one in all that is not said of them; None without any.
+
+        Raises:
+            ValueError: two robots have one name.
+        """
+        members = tuple(robot.spec(like, robot.name) for robot in self.robots)
+        return team_spec.Team(members, self.name) if members else None
+
+
 class Evaluation(Section):
     """Which trials are run, by which planners, with which model."""
 
@@ -284,6 +341,10 @@ class Evaluation(Section):
         if self.task is not None and self.formula is not None:
             raise ValueError("evaluation.task: give it or a formula, not both")
         return self
+
+    def robot(self, sees: Perception) -> RobotSpec:
+        """Return what a robot is like of which the team says nothing else."""
+        return RobotSpec(self.speed_m_per_s, self.search_time_s, self.interact_time_s, sees.perception())
 
     @field_validator("unsearched_share")
     @classmethod

@@ -21,6 +21,7 @@ from pipeline.base.sections import (
     Map,
     Model,
     Perception,
+    Team,
     Tracking,
     Trainer,
 )
@@ -62,11 +63,12 @@ class MapOptions:
     grid: Map
     cache_dir: Path
 
-    def map_of(self, home: "Home") -> "HomeMap":
-        """Return the home's map, from the cache if it is there."""
+    def map_of(self, home: "Home", radius_m: float | None = None) -> "HomeMap":
+        """Return the home's map, from the cache if it is there; for robots of another radius, theirs."""
         from mrtask.maps.cache import cached_map  # maps take seconds to import, and a mistake should be told at once
 
-        return cached_map(home, self.cache_dir / "maps", **self.grid.model_dump())
+        options = self.grid.model_dump() | ({} if radius_m is None else {"robot_radius_m": radius_m})
+        return cached_map(home, self.cache_dir / "maps", **options)
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class EvaluationSpec:
     """Those to compare; they stand in for the names in ``options``."""
     likelihood: Likelihood
     perception: Perception
+    team: Team
     belief: Belief
     tracking: Tracking
     output_dir: str

@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 
+from mrtask.execution.team_checks import check_doable, check_types
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trials import TrialOptions, can_serve, check_formula, objects_in
 from mrtask.homes.home import Home
@@ -81,10 +82,17 @@ def check(options: Evaluation) -> None:
     check_files("evaluation.homes.assets", [options.homes.assets])
 
 
-def check_task_in(options: Evaluation, home_set: HomeSet) -> None:
-    """Refuse a task with an object that none of the homes has, as soon as there are homes."""
-    if options.task is not None or options.formula is not None:
-        task_of(options, home_set.evaluation_homes(options.homes)[1])
+def check_task_in(spec: EvaluationSpec, home_set: HomeSet) -> None:
+    """Refuse, as soon as there are homes, what none of them has and a team that can do the task in none."""
+    options, team = spec.options, spec.team.team(RobotSpec())
+    if options.task is None and options.formula is None and team is None:
+        return
+    homes = home_set.evaluation_homes(options.homes)[1]
+    formula, objects = task_of(options, homes)
+    if team is not None:
+        check_types(team, homes)
+        for robots in options.robots:
+            check_doable(team.first(robots), formula, objects)
 
 
 def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
@@ -97,7 +105,7 @@ def prepare(spec: EvaluationSpec, pool: Pool) -> EvaluationPlan:
     check(spec.options)
     found = homes.make(spec.homes, None) if spec.dry_run else None
     if found is not None:
-        check_task_in(spec.options, found)
+        check_task_in(spec, found)
     model = load_model(spec)
     return plan_evaluation(spec, found or homes.make(spec.homes, pool), model)
 
@@ -131,6 +139,8 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
     size_classes = _size_classes(options.size_classes, evaluated)
     identity = _identity(spec, model, unseen, size_classes)
     formula, objects = task_of(options, unseen)
+    robot = options.robot(spec.perception)
+    team = spec.team.team(robot)
     if formula is not None:
         _check_served(formula, objects, [home for home in unseen if home.size_class in size_classes])
     drawn = configured.source == "generated" and configured.contents == "procthor" and not options.homes.files
@@ -146,12 +156,8 @@ def plan_evaluation(spec: EvaluationSpec, home_set: HomeSet, model: RegisteredMo
             templates=options.templates,
             formula=formula,
             formula_objects=objects,
-            robot=RobotSpec(
-                options.speed_m_per_s,
-                options.search_time_s,
-                options.interact_time_s,
-                spec.perception.perception(),
-            ),
+            robot=robot,
+            team=team,
             tasks_per_home=options.tasks_per_home,
             unsearched_share=options.unsearched_share,
             cost=options.cost,
@@ -270,6 +276,7 @@ def _identity(
             "belief": spec.belief.model_dump() if spec.belief.adapt else None,
             "likelihood": spec.likelihood.model_dump(),
             "perception": spec.perception.model_dump(),
+            "team": spec.team.model_dump(mode="json", exclude={"file"}, exclude_defaults=True),
         },
         evaluated_homes=content_hash(ids if options.homes.order == "file" else sorted(ids)),
         planner={planner.name: planner.options for planner in planners},

@@ -21,7 +21,9 @@ from pipeline.episodes.worker import Context, EpisodeKey, bench_of, planning_lik
 def assess_trial(key: EpisodeKey, context: Context, worlds: int) -> dict[str, Any]:
     """Return how far a planner is from optimal in a trial, as the row of `mrtask.bounds.assess`."""
     spec = context.planners[key.planner]
-    return assess(*setting(key, context), spec.make(), worlds, spec.planner)
+    trial, home, home_map, likelihood = setting(key, context)
+    make_map = bench_of(context).maker_of(home.id)
+    return assess(trial, home, home_map, likelihood, spec.make(), worlds, spec.planner, make_map)
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,13 @@ import resource
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrtask.execution.episode import Observer, run_episode, warm_up
+from mrtask.execution.team_maps import MakeMap, maps_for, start_cells
 from mrtask.execution.trials import Trial, TrialOptions, home_order, key_seed, sample_trial, trial_id
 from mrtask.homes.home import Home
 from mrtask.likelihood.adapt import AdaptOptions, Sighting, adapted, sightings_of
@@ -80,9 +81,18 @@ class Context:
 
 
 def map_home(number: int, context: Context) -> tuple[int, int]:
-    """Map the home of this number into the cache; return how many containers it has and how many can be reached."""
-    reachable = context.maps.map_of(context.homes[number]).reachable
-    return len(reachable), int(reachable.sum())
+    """Map the home of this number into the cache; return how many containers it has and how many can be reached.
+
+    Raises:
+        InputError: a robot of the team does not fit where it is to start.
+    """
+    home, team = context.homes[number], context.trials.team
+    home_map = context.maps.map_of(home)
+    if team is not None:
+        maps = maps_for(team, home, home_map, partial(context.maps.map_of, home))
+        row, col = np.argwhere(home_map.free)[0]
+        start_cells(team, maps, (int(row), int(col)))
+    return len(home_map.reachable), int(home_map.reachable.sum())
 
 
 def run_chain(
@@ -113,7 +123,10 @@ def _run(
     began_s = time.perf_counter()
     spec = context.planners[key.planner]
     trial, home, home_map, likelihood = setting(key, context, task, seen)
-    result = run_episode(trial, home, home_map, likelihood, spec.make(), spec.planner, observe=observe)
+    make_map = bench_of(context).maker_of(home.id)
+    result = run_episode(
+        trial, home, home_map, likelihood, spec.make(), spec.planner, observe=observe, make_map=make_map
+    )
     start_x_m, start_y_m = result.trace.start
     row = replace(
         unfinished_row(key, context, result.status, result.error),
@@ -174,7 +187,8 @@ def planning_likelihood(
 def warm(key: EpisodeKey, context: Context) -> None:
     """Compile what the planner needs."""
     spec = context.planners[key.planner]
-    warm_up(*setting(key, context), spec.make())
+    trial, home, home_map, likelihood = setting(key, context)
+    warm_up(trial, home, home_map, likelihood, spec.make(), bench_of(context).maker_of(home.id))
 
 
 def run_warm(key: EpisodeKey, context: Context) -> EpisodeRow:
@@ -193,6 +207,7 @@ def unfinished_row(key: EpisodeKey, context: Context, status: str, error: str | 
         trial_id=key.trial_id,
         size_class=key.size_class,
         robots=key.robots,
+        team=context.trials.team_name,
         planner=key.planner,
         status=status,
         error=error,
@@ -211,11 +226,17 @@ class Bench:
         self.homes = {home.id: home for home in context.homes}
         largest = max(map_bytes(home, context.maps.grid.resolution_m) for home in context.homes)
         kept = min(MAPS_KEPT, max(MAPS_KEPT_BYTES // largest, 1))
-        self.map_of = lru_cache(maxsize=kept)(lambda home_id: context.maps.map_of(self.homes[home_id]))
+        self.map_of = lru_cache(maxsize=kept)(
+            lambda home_id, radius_m=None: context.maps.map_of(self.homes[home_id], radius_m)
+        )
         self.trial = lru_cache(maxsize=TRIALS_KEPT)(self._sample)
         self._order = lru_cache(maxsize=None)(
             lambda size_class, robots: home_order(context.homes, size_class, robots, context.seed, context.home_order)
         )
+
+    def maker_of(self, home_id: str) -> MakeMap:
+        """Return what makes the home's maps for robots of another radius."""
+        return partial(self.map_of, home_id)
 
     def _sample(self, size_class: str, robots: int, number: int) -> Trial:
         context = self._context

@@ -3,23 +3,35 @@
 import ipaddress
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from mrtask.execution.team_spec import RobotSpec
+from mrtask.homes.home import Point
 from mrtask.planning.planners import make_planner
 from pipeline.app.map_task import Coordinates, MapTask
-from pipeline.base.sections import Perception
+from pipeline.base.sections import Perception, TeamRobot
 from pipeline.base.values import LocalPath
 
 MIN_TOKEN = 16
 
 
+class LiveRobot(TeamRobot):
+    """A robot of a live team: where it is, and what sets it apart."""
+
+    start: Coordinates
+
+
+def _placed(value: object) -> object:
+    """Return a place alone, ``[x, y]``, as a robot that starts there."""
+    return {"start": value} if isinstance(value, list | tuple) else value
+
+
 class TeamOptions(MapTask):
     """The options of `pipeline.live`; ``conf/live.yaml`` explains each."""
 
-    team: dict[str, Coordinates] = Field(min_length=1)
+    team: dict[str, Annotated[LiveRobot, BeforeValidator(_placed)]] = Field(min_length=1)
     decide_by: str
     perception: Perception
     state: LocalPath | None
@@ -53,6 +65,18 @@ class TeamOptions(MapTask):
     def spec(self) -> RobotSpec:
         """The robots' speed, times and perception."""
         return replace(super().spec, perception=self.perception.perception())
+
+    @property
+    def specs(self) -> dict[str, RobotSpec]:
+        """The robots that differ from ``spec``, by name."""
+        alike = self.spec
+        made = {name: replace(robot.spec(alike, ""), start_m=None) for name, robot in self.team.items()}
+        return {name: replace(spec, name=name) for name, spec in made.items() if spec != alike}
+
+    @property
+    def starts(self) -> dict[str, Point]:
+        """Where each robot is, in the map's metres."""
+        return {name: robot.start for name, robot in self.team.items()}
 
     @property
     def planner_options(self) -> Mapping[str, object]:

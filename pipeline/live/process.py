@@ -15,14 +15,20 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
+from dataclasses import replace
+from functools import partial
 from io import TextIOWrapper
 
 from mrtask.execution.scenario import prior, task_in, with_places
+from mrtask.execution.team_checks import check_doable, check_types
+from mrtask.execution.team_spec import Team
+from mrtask.homes.home import Home
 from mrtask.live.live_team import LiveTeam
 from mrtask.live.session import MAX_BYTES, LiveSession
 from mrtask.live.state import LiveSetup
 from mrtask.live.state_file import read_state
 from mrtask.maps.ros_map import scan_floor
+from mrtask.tasks.words import ReadTask
 from pipeline.app.map_task import scenario_files
 from pipeline.app.tool import load_options, overrides
 from pipeline.live.options import TeamOptions
@@ -52,6 +58,7 @@ def _live(options: TeamOptions) -> LiveTeam:
     home = scan.home
     task = task_in(home, options.task, options.objects or None, robots=len(options.team))
     home = with_places(home, task.places)
+    _check_team(options, home, task)
     home_map = options.map_of(home)
     if out_of_reach := home_map.out_of_reach(home):
         print(f"warning: {out_of_reach}", file=sys.stderr)
@@ -62,6 +69,8 @@ def _live(options: TeamOptions) -> LiveTeam:
         task=task,
         likelihood=prior(home, task, options.model()),
         spec=options.spec,
+        specs=options.specs,
+        make_map=partial(options.map_of, home),
         planner=options.decide_by,
         planner_options=options.planner_options,
         seed=options.seed,
@@ -71,7 +80,15 @@ def _live(options: TeamOptions) -> LiveTeam:
         live = read_state(setup, options.state)
         print(f"goes on from {options.state}", file=sys.stderr)
         return live
-    return LiveTeam(setup, options.team)
+    return LiveTeam(setup, options.starts)
+
+
+def _check_team(options: TeamOptions, home: Home, task: ReadTask) -> None:
+    """Refuse container types that the home does not have, and a team that cannot do the task."""
+    specs = [options.specs.get(name, replace(options.spec, name=name)) for name in options.team]
+    check_doable(Team(tuple(specs), "live"), task.formula, task.propositions)
+    # Objects may have any names, so that no type that a robot handles is unknown.
+    check_types(Team(tuple(replace(spec, handles=None) for spec in specs), "live"), [home])
 
 
 class SessionHub:

@@ -19,6 +19,8 @@ class EpisodeRow:
     home_source: str | None = None
     size_class: str
     robots: Int32
+    team: str | None = None
+    """The team's name; None in rows of earlier versions."""
     template: str | None = None
     formula: str | None = None
     objects: tuple[str, ...] | None = None
@@ -62,7 +64,7 @@ def _column(hint: Any) -> pa.DataType:
 _HINTS = get_type_hints(EpisodeRow, include_extras=True)
 SCHEMA = pa.schema([(field.name, _column(_HINTS[field.name])) for field in fields(EpisodeRow)])
 """The columns of the Parquet files, in their order."""
-LATER_COLUMNS = frozenset({"node"})
+LATER_COLUMNS = frozenset({"node", "team"})
 """Columns that rows of earlier versions lack; they are read as null."""
 TRACE = "trace"
 """The column with most of a row's size; only the episodes that are drawn need it."""

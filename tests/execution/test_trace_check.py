@@ -95,6 +95,17 @@ def at_speed(factor):
     return cheat
 
 
+def as_if(**abilities):
+    """The cheat of the first robot, which does what a robot like this cannot."""
+
+    def cheat(trial, home, result):
+        members = list(trial.team.members)
+        members[FIRST] = replace(members[FIRST], **abilities)
+        return replace(trial, team=Team(tuple(members), "unlike")), result
+
+    return cheat
+
+
 def result_with(**changes):
     return lambda trial, home, result: (trial, replace(result, **changes))
 
@@ -192,6 +203,12 @@ CHEATS = {
         lambda trial, home, result: (trial, with_trace(result, robots=result.trace.robots[:1])),
     ),
     "another start": ("another start", start_nearer),
+    "one touches what it does not handle": ("touches what it does not handle", as_if(handles=("Nothing",))),
+    "one opens what it cannot": ("opens what it cannot", as_if(opens=("Nothing",))),
+    "one drives where it does not fit": ("off the free cells", as_if(radius_m=0.3)),
+    "one drives at another's speed": ("slower than the robot", as_if(speed_m_per_s=1.4)),
+    "one searches in another's time": ("a search of another length", as_if(search_time_s=0.5)),
+    "one starts elsewhere": ("another start", as_if(start_m=(1.0, 1.0))),
 }
 """Kind of cheat -> what the check says, and how to cheat."""
 

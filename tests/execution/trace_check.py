@@ -6,6 +6,7 @@ from math import ceil, dist, floor
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mrtask.maps.home_map import build_map
 from tests.tasks.naive_ltl import is_good_prefix
 
 TOLERANCE = 1e-6
@@ -31,18 +32,19 @@ FORMULAS = {
 def check_trace(trial, home, home_map, result, *, known=False):
     """Raises AssertionError where the trace breaks a rule of the world."""
     trace = result.trace
-    access = {
-        container.id: home_map.cell_center(tuple(cell))
-        for container, cell in zip(home.containers, home_map.access, strict=True)
-    }
     contents = {container.id: container.objects for container in home.containers}
-    free_cells = cKDTree(np.transpose(home_map.cell_center(np.nonzero(home_map.free))))
     assert len(trace.robots) == trial.team.robots, "a robot is missing"
-    assert dist(trace.start, home_map.cell_center(trial.start_cell)) < TOLERANCE, "another start"
     ends = [leg.t1_s for legs in trace.robots for leg in legs]
-    for legs in trace.robots:
-        _check_legs(trial, trace.start, legs, access, free_cells, home_map.resolution_m, max([0.0, *ends]))
-        _check_ways(home, home_map, legs)
+    for number, (member, legs) in enumerate(zip(trial.team.members, trace.robots, strict=True)):
+        own_map = map_for(member, home, home_map)
+        free_cells = cKDTree(np.transpose(own_map.cell_center(np.nonzero(own_map.free))))
+        wanted = home_map.cell_center(trial.start_cell) if member.start_m is None else member.start_m
+        away_m, _ = free_cells.query(wanted)
+        as_the_first = number == 0 or (member.start_m is None and away_m < TOLERANCE and trace.start == wanted)
+        start = trace.start if as_the_first or not legs else legs[0].path[0]
+        assert abs(dist(start, wanted) - away_m) < TOLERANCE, "another start"
+        _check_legs(member, home, start, legs, own_map, free_cells, max([0.0, *ends]))
+        _check_ways(home, own_map, legs)
     searches = [leg for legs in trace.robots for leg in legs if leg.kind == "search"]
     for letter in trace.letters:
         assert letter.object in contents[letter.container], "the object is not there"
@@ -52,7 +54,9 @@ def check_trace(trial, home, home_map, result, *, known=False):
             if leg.kind == "interact" and abs(leg.t1_s - letter.t_s) < TOLERANCE and leg.object == letter.object
         ]
         assert standing and standing[0].container == letter.container, "no interaction leg for the letter"
-        short_s = trial.team.members[0].interact_time_s - (standing[0].t1_s - standing[0].t0_s)
+        member = trial.team.members[letter.robot]
+        assert member.handles is None or letter.object in member.handles, "touches what it does not handle"
+        short_s = member.interact_time_s - (standing[0].t1_s - standing[0].t0_s)
         assert abs(short_s) < TOLERANCE, "an interaction of another length"
         if not known:
             assert any(
@@ -73,8 +77,19 @@ def check_trace(trial, home, home_map, result, *, known=False):
         assert not is_good_prefix(formula, word, trial.objects), "the task is done"
 
 
-def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
-    clock, place, speed = 0.0, start, trial.team.members[0].speed_m_per_s
+def map_for(member, home, home_map):
+    """The map for a robot of this width."""
+    ways = "shortest" if home_map.steps is None else "soft"
+    return home_map if member.radius_m is None else build_map(home, home_map.resolution_m, member.radius_m, ways)
+
+
+def _check_legs(member, home, start, legs, own_map, free_cells, end_s):
+    access = {
+        container.id: own_map.cell_center(tuple(cell))
+        for container, cell in zip(home.containers, own_map.access, strict=True)
+    }
+    types, resolution_m = {container.id: container.type for container in home.containers}, own_map.resolution_m
+    clock, place, speed = 0.0, start, member.speed_m_per_s
     for leg in legs:
         assert abs(leg.t0_s - clock) < TOLERANCE, "time not continuous"
         assert leg.t1_s >= leg.t0_s, "time runs backwards"
@@ -86,8 +101,9 @@ def _check_legs(trial, start, legs, access, free_cells, resolution_m, end_s):
             assert len(leg.path) == 1, "only moves have a way"
         if leg.kind in ("search", "interact"):
             assert dist(leg.path[0], access[leg.container]) < TOLERANCE, "not at the container"
+            assert member.opens is None or types[leg.container] in member.opens, "opens what it cannot"
         if leg.kind == "search":
-            short_s = trial.team.members[0].search_time_s - (leg.t1_s - leg.t0_s)
+            short_s = member.search_time_s - (leg.t1_s - leg.t0_s)
             cut_off = short_s > 0 and abs(leg.t1_s - end_s) < TOLERANCE
             assert cut_off or abs(short_s) < TOLERANCE, "a search of another length"
         points = [np.linspace(p, q, 2 + int(dist(p, q) / (resolution_m / 3))) for p, q in pairwise(leg.path)]

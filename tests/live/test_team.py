@@ -687,3 +687,21 @@ def test_a_state_file_that_cannot_be_read_is_named(live, tmp_path):
 def test_planners_that_know_the_contents_are_refused(two_room_home, two_room_map):
     with pytest.raises(InputError, match="knows all contents"):
         two_robots(two_room_home, two_room_map, "known")
+
+
+def test_a_robot_without_the_ability_is_never_ordered_to_interact(two_room_home, two_room_map):
+    alike = two_robots(two_room_home, two_room_map)
+    setup = replace(alike.setup, specs={"r1": replace(alike.setup.spec, speed_m_per_s=2.0, handles=(), name="r1")})
+    team = LiveTeam(setup, {"r1": (1.5, 1.5), "r2": (2.5, 1.5)})
+    world = World({one.id: one.objects for one in two_room_home.containers}, search_time_s=2.0, interact_time_s=2.0)
+    ordered = orders_of(team.begin())
+    world.obey(ordered)
+    while not team.team.accepted and (events := world.step()):
+        replies = team.handle(events)
+        ordered += orders_of(replies)
+        world.obey(replies)
+    assert team.team.accepted
+    assert {order.robot for order in ordered if order.action == "interact"} == {"r2"}
+    assert any(order.robot == "r1" and order.action == "search" for order in ordered)
+    with pytest.raises(StateError):
+        restore(setup, save(alike))

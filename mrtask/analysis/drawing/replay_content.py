@@ -143,6 +143,8 @@ class Replay:
     """Of the containers, in their order; no two alike."""
     automaton: Automaton
     runs: tuple[Run, ...]
+    called: tuple[str, ...] = ()
+    """The robots' names, empty for one without."""
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -179,9 +181,15 @@ class Episode:
 
 
 def make_replay(
-    trial_id: str, size_class: str, template: str, automaton: Automaton, home: Home, episodes: Sequence[Episode]
+    trial_id: str,
+    size_class: str,
+    template: str,
+    automaton: Automaton,
+    home: Home,
+    episodes: Sequence[Episode],
+    called: Sequence[str] = (),
 ) -> Replay:
-    """The replay of a trial with these planners' episodes, in their order.
+    """The replay of a trial with these planners' episodes, in their order; ``called``: the robots' names, if any.
 
     Raises:
         ValueError: a trace names a container or an object that the home or the task does not have.
@@ -196,6 +204,7 @@ def make_replay(
         names=names,
         automaton=automaton,
         runs=tuple(_run(episode, automaton, home, names) for episode in episodes),
+        called=tuple(called),
     )
 
 

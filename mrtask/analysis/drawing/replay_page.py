@@ -49,6 +49,7 @@ def render_replay(replay: Replay, command: str | None = None) -> str:
         state_radius=RADIUS,
         robot_colors=[ROBOT_COLORS[robot % len(ROBOT_COLORS)] for robot in range(replay.robots)],
         team=counted(replay.robots, "robot"),
+        called=replay.called[: replay.robots] if any(replay.called) else (),
         gap_text=_gap_text(replay.runs),
         data=script_json(page_data(replay, sheet)),
         script=Markup(script),

@@ -102,11 +102,12 @@ def baseline_beside(planners: Iterable[str], planner: str) -> str | None:
 
 
 @house_style()
-def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
+def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]], called: Sequence[str] = ()) -> Figure:
     """One panel per planner of the same trial.
 
     Args:
         episodes: planner -> its row, with `trace`, `cost_s`, and `objects` where it is known.
+        called: what the legend calls the robots, in their order; those without a name by their number.
     """
     xs, ys = np.array([point for room in home.rooms for point in room.polygon]).T
     aspect = max(float(np.ptp(ys)), 1.0) / max(float(np.ptp(xs)), 1.0)
@@ -121,7 +122,7 @@ def draw_trial(home: Home, episodes: Mapping[str, Mapping[Any, Any]]) -> Figure:
         axes.set(xlim=(xs.min() - 0.2, xs.max() + 0.2), ylim=(ys.min() - 0.2, ys.max() + 0.2))
     waited = any(_is_shown_wait(leg) for trace in traces.values() for legs in trace.robots for leg in legs)
     robots = max((len(trace.robots) for trace in traces.values()), default=0)
-    figure.legend(handles=_legend(robots, waited), loc="outside lower center", ncols=8, fontsize=8)
+    figure.legend(handles=_legend(robots, waited, called), loc="outside lower center", ncols=8, fontsize=8)
     return figure
 
 
@@ -183,7 +184,8 @@ def draw_trace(axes: Axes, trace: Trace, home: Home) -> None:
             va="top" if below else "bottom",
             fontsize=6.5, weight="bold", color=color, bbox=BACKDROP, zorder=9, linespacing=1.05,
         )  # fmt: skip
-    axes.plot(*trace.start, marker="P", markersize=10, color=BLACK, markeredgecolor="white", zorder=10)
+    for start in {trace.start, *(legs[0].path[0] for legs in trace.robots if legs)}:
+        axes.plot(*start, marker="P", markersize=10, color=BLACK, markeredgecolor="white", zorder=10)
 
 
 def task_objects(raw: object) -> tuple[str, ...]:
@@ -238,13 +240,14 @@ def _arrow(axes: Axes, path: Sequence[Point], color: str) -> None:
     )
 
 
-def _legend(robots: int, waited: bool) -> list[Line2D | Patch]:
+def _legend(robots: int, waited: bool, called: Sequence[str]) -> list[Line2D | Patch]:
     def mark(marker: str, label: str, color: str = GREY, size: float = 8, edge: str = "white") -> Line2D:
         looks: dict[str, Any] = {"markersize": size, "markeredgecolor": edge}
         return Line2D([], [], linestyle="none", marker=marker, color=color, label=label, **looks)
 
+    names = [name or f"robot {index + 1}" for index, name in enumerate([*called, *[""] * robots][:robots])]
     entries: list[Line2D | Patch] = [
-        Line2D([], [], color=robot_color(index), linestyle=line, linewidth=1.8, label=f"robot {index + 1}")
+        Line2D([], [], color=robot_color(index), linestyle=line, linewidth=1.8, label=names[index])
         for index, line in zip(range(robots), cycle(ROBOT_LINES), strict=False)
     ]
     entries += [

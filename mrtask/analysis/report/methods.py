@@ -27,6 +27,7 @@ def methods_sentences(data: ReportData) -> list[str]:
     return [
         _trials_sentence(data.rows, part(data.manifest, "homes")),
         *_task_sentences(data.rows, part(part(data.manifest, "config"), "evaluation")),
+        *_team_sentences(part(part(data.manifest, "config"), "team")),
         *_planner_sentences(data),
         *_model_sentences(part(data.manifest, "model")),
         *_outcome_sentences(data.rows),
@@ -95,6 +96,34 @@ def _task_sentences(rows: pd.DataFrame, evaluation: Manifest) -> list[str]:
             f"Robots drive at {speed:g} m/s; a search takes {search:g} s and an interaction {interact:g} s."
         )
     return sentences
+
+
+def _team_sentences(team: Manifest) -> list[str]:
+    robots = team.get("robots") or ()
+    if not robots:
+        return []
+    described = [
+        f"{robot.get('name') or f'robot {number}'} ({', '.join(_said(robot)) or 'as all'})"
+        for number, robot in enumerate(robots, 1)
+    ]
+    return [f"The team {team['name']}, of which a smaller team takes the first, is {listed(described)}."]
+
+
+def _said(robot: Manifest) -> list[str]:
+    """What sets a robot apart."""
+    units = {
+        "speed_m_per_s": "{:g} m/s",
+        "search_time_s": "searches in {:g} s",
+        "interact_time_s": "interacts in {:g} s",
+        "radius_m": "radius {:g} m",
+    }
+    said = [text.format(robot[key]) for key, text in units.items() if robot.get(key) is not None]
+    if (start := robot.get("start")) is not None:
+        said.append(f"starts at ({start[0]:g}, {start[1]:g}) m")
+    for key in ("handles", "opens"):
+        if (names := robot.get(key)) is not None:
+            said.append(f"{key} {listed(names) if names else 'nothing'}")
+    return said
 
 
 def _planner_sentences(data: ReportData) -> list[str]:

@@ -17,8 +17,8 @@ from mrtask.analysis.report.answer import find, mixture_warnings
 from mrtask.analysis.report.coordination import Coordination, coordination
 from mrtask.analysis.report.run_facts import missing_episodes, model_warning, without_folders
 from mrtask.analysis.report.trial_browser import compared_planners, notable_trials
-from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order
-from mrtask.analysis.results.manifest import Manifest
+from mrtask.analysis.results.episodes import Variant, checked_episodes, variants_in_order, without_cells
+from mrtask.analysis.results.manifest import Manifest, part
 from mrtask.analysis.results.optimality import CellOptimality, summarise_optimality
 from mrtask.analysis.results.published import Published, load_published
 from mrtask.analysis.results.roles import main_planner
@@ -108,7 +108,8 @@ class ReportData:
             rows = self.rows[(self.rows["trial_id"] == pick.trial_id) & self.rows["trace"].notna()]
             found = {row["planner"]: row for row in rows.to_dict("records")}
             try:
-                pages |= _replay(pick, [found[name] for name in planners if name in found], self.homes[pick.home_id])
+                shown = [found[name] for name in planners if name in found]
+                pages |= _replay(pick, shown, self.homes[pick.home_id], self.called)
             except ValueError as error:
                 unplayable.append(f"Trial {pick.trial_id} cannot be replayed: {error}")
         return pages, unplayable
@@ -129,14 +130,30 @@ class ReportData:
         return find(self.summary, self.published, self.planner)
 
     @property
+    def called(self) -> tuple[str, ...]:
+        """The robots' names, empty for one without."""
+        robots = part(part(self.manifest, "config"), "team").get("robots") or ()
+        return tuple(str(robot.get("name") or "") for robot in robots)
+
+    @property
+    def _no_cells(self) -> str | None:
+        """Why some costs are not in grid cells."""
+        if not without_cells(self.rows):
+            return None
+        return (
+            "Robots of the team differ in speed, so a second is not one number of grid cells: where they do, costs are "
+            "in seconds only, and no cost stands beside those published for robots that are all alike."
+        )
+
+    @property
     def warnings(self) -> list[str]:
         """All warnings that a reader should see before trusting the answer."""
-        of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest))
+        of_run = (missing_episodes(self.manifest, self.episodes), model_warning(self.manifest), self._no_cells)
         found = [*self.findings.warnings, *mixture_warnings(self.rows), *of_run, *self._played[1]]
         return [text for text in found if text]
 
 
-def _replay(pick: Pick, rows: Sequence[Mapping[Any, Any]], home: Home) -> dict[str, str]:
+def _replay(pick: Pick, rows: Sequence[Mapping[Any, Any]], home: Home, called: Sequence[str]) -> dict[str, str]:
     """The page of a trial from the rows of the planners to be shown; empty without rows.
 
     It has no reasons for the decisions, since those would take another run.
@@ -153,7 +170,7 @@ def _replay(pick: Pick, rows: Sequence[Mapping[Any, Any]], home: Home) -> dict[s
         accepted, trace = row["status"] == "accepted", Trace.from_json(row["trace"])
         cost_s, error = (row["cost_s"], None) if accepted else (None, str(row.get("error") or ""))
         episodes.append(Episode(row["planner"], row["status"], cost_s, error, trace))
-    replay = make_replay(pick.trial_id, first["size_class"], first["template"], automaton, home, episodes)
+    replay = make_replay(pick.trial_id, first["size_class"], first["template"], automaton, home, episodes, called)
     return {pick.trial_id: render_replay(replay)}
 
 

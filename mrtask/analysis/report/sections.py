@@ -250,7 +250,7 @@ def trajectories_section(data: ReportData) -> Content | None:
         own = trial[data.planner]
         title = f"{pick.reason[0].upper()}{pick.reason[1:]}: trial {pick.trial_id}, {counted(own['robots'], 'robot')}"
         task = f"Task: {own['formula']}. " if "formula" in own else ""
-        figure = draw_trial(data.homes[pick.home_id], {name: trial[name] for name in names})
+        figure = draw_trial(data.homes[pick.home_id], {name: trial[name] for name in names}, data.called)
         pictures.append(Picture(f"trajectory-{number}", title, f"{task}Home {pick.home_id}.", figure))
     return _content("trajectories", *pictures) if pictures else None
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
+from mrtask.execution.team_spec import ALIKE
 from mrtask.homes.home import ALL_SIZE_CLASSES
 
 REQUIRED_COLUMNS = ("trial_id", "size_class", "robots", "planner", "status", "cost_s", "cost_cells")
@@ -47,9 +48,12 @@ def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
     if (frame["robots"] < 1).any():
         raise ValueError(f"an episode has {frame['robots'].min()} robots; a team has at least one")
     accepted = frame["status"] == "accepted"
+    unlike = frame["team"].fillna(ALIKE) != ALIKE if "team" in frame.columns else pd.Series(False, index=frame.index)
     for column in ("cost_s", "cost_cells"):
         cost = pd.to_numeric(frame[column]).astype("float64")
         bad = accepted & ~(np.isfinite(cost) & (cost >= 0))
+        if column == "cost_cells":
+            bad &= ~(unlike & cost.isna())
         if bad.any():
             row = frame[bad].iloc[0]
             raise ValueError(
@@ -69,6 +73,11 @@ def checked_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
             "give one row per trial and planner, and a `sweep` column where a sweep ran them several times"
         )
     return frame.sort_values(["variant", "trial_id", "planner"], ignore_index=True)
+
+
+def without_cells(episodes: pd.DataFrame) -> bool:
+    """Return whether finished episodes have no cost in grid cells, because the robots of their team differ in speed."""
+    return bool(((episodes["status"] == "accepted") & episodes["cost_cells"].isna()).any())
 
 
 def variants_in_order(episodes: pd.DataFrame) -> list[Variant]:

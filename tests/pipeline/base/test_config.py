@@ -6,6 +6,7 @@ from typing import get_args
 import pytest
 from omegaconf.errors import OmegaConfBaseException
 
+from mrtask.errors import InputError
 from mrtask.likelihood.kinds import KINDS
 from mrtask.likelihood.options import TrainingOptions
 from mrtask.planning.paper.planner import PaperOptions
@@ -22,7 +23,11 @@ CHOICES = sorted(path for path in CONF_DIR.glob("*/*.yaml") if len(list(path.par
 
 @pytest.mark.parametrize("path", CHOICES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_option_of_every_group_is_valid(path: Path) -> None:
-    needed = {"procthor": ["homes.files=[a.jsonl]"], "ros_map": ["homes.map=a.yaml", "homes.containers=b.yaml"]}
+    needed = {
+        "mixed": ["evaluation.planners=[greedy,pouct]"],
+        "procthor": ["homes.files=[a.jsonl]"],
+        "ros_map": ["homes.map=a.yaml", "homes.containers=b.yaml"],
+    }
     configured(f"{path.parent.name}={path.stem}", *needed.get(path.stem, []))
 
 
@@ -209,3 +214,35 @@ def test_tests_configure_as_hydra_does() -> None:
 def test_only_the_default_model_has_a_rival(overrides: tuple[str, ...], kind: str, rivals: tuple[str, ...]) -> None:
     config = configured(*overrides)
     assert (config.model.kind, config.rivals) == (kind, rivals)
+
+
+@pytest.mark.parametrize(
+    ("robots", "said"),
+    [
+        ("[{speed_m_per_s: 0}]", "team.robots.0.speed_m_per_s=0: must be greater than 0"),
+        ("[{sped_m_per_s: 1}]", "no such key; did you mean speed_m_per_s?"),
+        ("[]", "the team 'mine' has no robots"),
+        ("[{name: a}, {name: a}]", "two robots are called 'a'"),
+        ("[{opens: [Frige]}]", "did you mean Fridge?"),
+        ("[{handles: [Mugg]}]", "did you mean Mug?"),
+        ("[{handles: []}]", "can handle no object"),
+        ("[{name: a}]", "evaluation.robots=[1, 2]: team 'mine' has 1 robot"),
+    ],
+)
+def test_a_bad_team_is_refused(robots: str, said: str, tmp_path: Path) -> None:
+    asked = "[1,2]" if "team 'mine' has 1" in said else "1"
+    common = ("evaluation.planners=greedy", f"evaluation.robots={asked}")
+    with pytest.raises(InputError) as refused:
+        configured("team.name=mine", f"team.robots={robots}", *common)
+    assert said in str(refused.value)
+    if robots != "[]":
+        file = tmp_path / "mine.yaml"
+        file.write_text(f"robots: {robots}")
+        with pytest.raises(InputError) as in_file:
+            configured(f"team.file={file}", *common)
+        assert said in str(in_file.value)
+
+
+def test_the_papers_planner_refuses_robots_that_do_not_handle_all() -> None:
+    with pytest.raises(UserError, match="the paper's planner does not know robots that cannot handle every object"):
+        configured("team=mixed")

@@ -1,6 +1,7 @@
 """The episodes dataset under interruptions: whatever breaks at whatever step, no finished row is lost or doubled."""
 
 import errno
+import io
 import json
 import os
 from collections import Counter
@@ -69,6 +70,7 @@ def test_rows_come_back_with_the_fixed_schema(folder: Folder) -> None:
 def test_the_columns_are_those_of_every_published_run() -> None:
     assert [f"{field.name}: {field.type}" for field in SCHEMA] == [
         "trial_id: string", "home_id: string", "home_source: string", "size_class: string", "robots: int32",
+        "team: string",
         "template: string", "formula: string", "objects: list<item: string>", "planner: string", "status: string",
         "cost_s: double", "cost_cells: double", "decisions: int32", "planning_s: double", "samples: int64",
         "seed: int64", "model_version: string", "config_hash: string", "code_version: string", "error: string",
@@ -76,6 +78,19 @@ def test_the_columns_are_those_of_every_published_run() -> None:
         "trace: string", "node: string",
     ]  # fmt: skip
     assert set(REQUIRED_COLUMNS) <= set(SCHEMA.names)
+
+
+def test_rows_of_earlier_versions_have_no_team(folder: Folder) -> None:
+    writer = EpisodeWriter(folder)
+    writer.add(row(0))
+    writer.close()
+    [name] = [name for name in folder.names() if name.endswith(".parquet")]
+    content = folder.read(name)
+    assert content is not None
+    buffer = io.BytesIO()
+    pq.write_table(pq.read_table(io.BytesIO(content)).drop_columns(["team"]), buffer)
+    folder.write(name, buffer.getvalue())
+    assert read_episodes(folder)["team"].isna().all()
 
 
 def test_a_part_is_readable_by_plain_pyarrow(tmp_path: Path) -> None:
