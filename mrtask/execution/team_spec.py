@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
-from mrtask.arrays import Bools
 from mrtask.execution.acts import ActKind
 from mrtask.execution.perception import Perception
-from mrtask.homes.home import Container, Point
 from mrtask.names import name_to_text
+
+if TYPE_CHECKING:
+    from mrtask.arrays import Bools
+    from mrtask.homes.home import Container, Point
 
 ALIKE = "alike"
 """The name of a team whose robots do not differ."""
@@ -30,7 +30,7 @@ class RobotSpec:
     """The types of objects with which it can interact; None: all."""
     opens: tuple[str, ...] | None = None
     """The types of containers that it can search and use; None: all."""
-    start_m: Point | None = None
+    start_m: "Point | None" = None
     """Where it starts, in the map's metres; None: with the team."""
     name: str = ""
 
@@ -52,11 +52,11 @@ class RobotSpec:
         """Return how long an act of this kind takes, for kinds whose duration depends on the robot alone."""
         return {ActKind.SEARCH: self.search_time_s, ActKind.INTERACT: self.interact_time_s}[kind]
 
-    def can_use(self, containers: Sequence[Container]) -> Bools:
+    def can_use(self, containers: "Sequence[Container]") -> "Bools":
         """Return the containers [C] whose types it opens."""
         return _among([container.type for container in containers], self.opens)
 
-    def can_touch(self, objects: tuple[str, ...]) -> Bools:
+    def can_touch(self, objects: tuple[str, ...]) -> "Bools":
         """Return the objects [O] that it handles."""
         return _among(objects, self.handles)
 
@@ -122,6 +122,8 @@ class Team:
         return replace(self, members=self.members[:robots])
 
 
-def _among(names: Sequence[str], allowed: tuple[str, ...] | None) -> Bools:
+def _among(names: Sequence[str], allowed: tuple[str, ...] | None) -> "Bools":
+    import numpy as np  # the configuration names robots, and a mistake in it is to be told at once
+
     known = {name_to_text(name) for name in allowed or ()}
     return np.array([allowed is None or name_to_text(name) in known for name in names], dtype=bool)

@@ -17,7 +17,6 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from mrtask.errors import InputError
-from mrtask.execution.team_checks import check_doable, check_types
 from mrtask.execution.team_spec import RobotSpec
 from mrtask.homes.catalogue import load_catalogue
 from mrtask.likelihood.options import LikelihoodChoice
@@ -236,6 +235,8 @@ def _check_team(config: Config) -> None:
     team, options = config.team.team(config.robot), config.evaluation
     if team is None:
         return
+    from mrtask.execution.team_checks import check_doable, check_types  # import numpy, which few mistakes need
+
     if max(options.robots) > team.robots:
         have = ",".join(map(str, range(1, team.robots + 1)))
         raise UserError(
