@@ -43,6 +43,7 @@ from mrtask.analysis.report.trial_browser import (
     place,
 )
 from mrtask.analysis.report.wins import draw_wins, pair_table
+from mrtask.analysis.results.episodes import without_cells
 from mrtask.analysis.results.manifest import part
 from mrtask.analysis.results.roles import BASELINES, RULE, main_planner
 from mrtask.analysis.results.statistics import MIN_TRIALS_FOR_INTERVAL, RESAMPLES, SIGNIFICANT_P, home_repeats, homes_of
@@ -378,8 +379,10 @@ def papers_section(data: ReportData) -> Content:
     return Content(html, files=files)
 
 
-def claims_section(data: ReportData) -> Content:
-    """Each claim of the paper with a verdict and where to see it."""
+def claims_section(data: ReportData) -> Content | None:
+    """Each claim of the paper with a verdict and where to see it; none where robots differ, since the paper's do not."""
+    if without_cells(data.rows):
+        return None
     claims = judge_claims(data)
     content = _content(
         "claims",

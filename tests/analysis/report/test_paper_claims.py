@@ -9,6 +9,7 @@ import pytest
 from mrtask.analysis.report.paper_claims import Verdict, claims_table, count_verdicts, improvement_growth, judge_claims
 from mrtask.analysis.report.real_world import driven_m, scenario_name, simulated_trial
 from mrtask.analysis.report.report_data import collect_report_data
+from mrtask.analysis.report.sections import claims_section
 from mrtask.analysis.results.published import load_published
 from mrtask.analysis.results.statistics import SEED, Bootstrap
 from mrtask.execution.trace import Leg, Letter, Trace
@@ -173,3 +174,11 @@ def test_table_and_count():
     table = claims_table(claims, data.judged)
     assert [row.entries[0].tone for row in table.rows] == ["good"] * 3 + [""] * 3
     assert [column[1] for column in table.columns] == ["pouct_paper"]
+
+
+def test_a_team_of_robots_that_differ_in_speed_is_not_judged_by_the_papers_claims():
+    frame = make_episodes(3, PLANNERS)
+    assert claims_section(collect_report_data(frame, {}, {})) is not None
+    data = collect_report_data(frame.assign(team="mixed", cost_cells=np.nan), {}, {})
+    assert claims_section(data) is None
+    assert any("differ in speed" in text for text in data.warnings)
