@@ -380,7 +380,7 @@ def papers_section(data: ReportData) -> Content:
 
 
 def claims_section(data: ReportData) -> Content | None:
-    """Each claim of the paper with a verdict and where to see it; none where robots differ, since the paper's do not."""
+    """Each claim of the paper with a verdict and where to see it; None where robots differ: the paper's do not."""
     if without_cells(data.rows):
         return None
     claims = judge_claims(data)
