@@ -1,6 +1,6 @@
 """Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network.
 
-Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as PDF and SVG.
+Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as SVG; with ``pdf=true``, also as PDF.
 
 On the output_dir of a sweep it compares the sweep's cells.
 """
@@ -74,12 +74,11 @@ class Collected:
         """That of the last evaluation."""
         return self.evaluations[-1][1]
 
-    @property
-    def key(self) -> ReportKey:
-        """The hash of all that the report depends on."""
+    def key(self, pdf: bool) -> ReportKey:
+        """Return the hash of all that the report depends on."""
         judged = sorted(map(str, self.episodes[JUDGED_COLUMNS].itertuples(index=False, name=None)))
         optimality = None if self.optimality is None else self.optimality.to_csv(index=False)
-        return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis")]))
+        return ReportKey(key=content_hash([judged, self.facts, optimality, source_hash("mrtask/analysis"), pdf]))
 
     def with_traces(self, wanted: "TrialsToDraw") -> pd.DataFrame:
         """The episodes with a column ``trace``, filled where it is drawn."""
@@ -97,6 +96,8 @@ class ReportJob:
 
     folder: Folder
     tracking: Tracking
+    pdf: bool = False
+    """Whether figures are drawn as PDF, too."""
 
     @property
     def target(self) -> Folder:
@@ -121,17 +122,22 @@ class ReportJob:
         began_s = time.monotonic()
         collected = collect(self.folder)
         console.headline("report", counted(len(collected.episodes), "episode"))
-        if _is_current(collected, self.folder):
+        if self._is_current(collected):
             console.skipped(self.target / REPORT_INDEX)
             return collected.episodes
         of_sweep = session.cell.parent_run_id if not session.cell.text else None
         with tempfile.TemporaryDirectory() as temporary:
-            table = _render(collected, Path(temporary))
+            table = _render(collected, Path(temporary), self.pdf)
             self.target.upload(Path(temporary))
             self._keep(of_sweep or collected.manifest.run_id, Path(temporary), table)
-        collected.key.write(self.target, REPORT_KEY)
+        collected.key(self.pdf).write(self.target, REPORT_KEY)
         console.result(self.target / REPORT_INDEX, time.monotonic() - began_s)
         return collected.episodes
+
+    def _is_current(self, collected: Collected) -> bool:
+        """Return whether the report is there as it would be written; one with PDF is not written again without."""
+        there = self.target.read(REPORT_KEY)
+        return there in {collected.key(pdf).to_json() for pdf in (True, self.pdf)}
 
     def _keep(self, run_id: str, rendered: Path, table: pd.DataFrame) -> None:
         tracking = runs.open_tracking(self.tracking.uri, self.tracking.experiment_name)
@@ -146,12 +152,8 @@ class ReportJob:
     def outline(self, session: Session) -> Iterator[str]:
         """Say on how many episodes the report would be."""
         collected = collect(self.folder)
-        what = "is up to date" if _is_current(collected, self.folder) else "would be written"
+        what = "is up to date" if self._is_current(collected) else "would be written"
         yield f"the report on {counted(len(collected.episodes), 'episode')} {what}: {self.target / REPORT_INDEX}"
-
-
-def _is_current(collected: Collected, folder: Folder) -> bool:
-    return (folder / REPORT).read(REPORT_KEY) == collected.key.to_json()
 
 
 def collect(folder: Folder) -> Collected:
@@ -225,7 +227,7 @@ def _apartments(folder: Folder) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _render(collected: Collected, target: Path) -> pd.DataFrame:
+def _render(collected: Collected, target: Path, pdf: bool) -> pd.DataFrame:
     """Write the report's files, draw the most telling episodes, and return the table for machines."""
     # Drawing takes seconds to import; a report that is up to date draws nothing.
     from mrtask.analysis.report.report_page import render_report, trials_to_draw, write_report
@@ -233,7 +235,7 @@ def _render(collected: Collected, target: Path) -> pd.DataFrame:
     wanted = trials_to_draw(collected.episodes, collected.facts)
     drawn = _homes(collected.manifest.homes, wanted.home_ids)
     episodes = collected.with_traces(wanted)
-    rendered = render_report(episodes, collected.facts, drawn, collected.optimality)
+    rendered = render_report(episodes, collected.facts, drawn, collected.optimality, pdf=pdf)
     write_report(rendered, target / REPORT_INDEX)
     return rendered.table
 
@@ -247,4 +249,4 @@ def _homes(evaluated: EvaluatedHomes, ids: Collection[str]) -> dict[str, Home]:
     return {home.id: home for home in source.read() if home.id in ids}
 
 
-STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking), runs.check_store)
+STAGE = Stage(lambda config: ReportJob(Folder(config.output_dir), config.tracking, config.pdf), runs.check_store)

@@ -69,7 +69,7 @@ class ReproduceJob:
         folder = Folder(spec.output_dir)
         if StageTimes.find(folder, STAGES) is None:
             StageTimes(seconds=seconds).write(folder, STAGES)
-        reported = report.ReportJob(folder, spec.tracking)
+        reported = report.ReportJob(folder, spec.tracking, spec.pdf)
         episodes = reported.write(session)
         outcome.say(episodes)
         page, total = reported.target / REPORT_INDEX, console.duration(time.monotonic() - started_s)

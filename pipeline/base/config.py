@@ -70,6 +70,7 @@ class Config(Section):
     overwrite: bool
     dry_run: bool
     draw: bool
+    pdf: bool
     datasets_dir: LocalPath
     cache_dir: LocalPath
     cache_limit_gb: float = Field(gt=0)
@@ -153,6 +154,7 @@ class Config(Section):
             output_dir=self.output_dir,
             overwrite=self.overwrite,
             dry_run=self.dry_run,
+            pdf=self.pdf,
             cache_limit_gb=self.cache_limit_gb,
         )
 

@@ -116,6 +116,7 @@ class EvaluationSpec:
     output_dir: str
     overwrite: bool
     dry_run: bool
+    pdf: bool
     cache_limit_gb: float
     record: Mapping[str, Any]
     """The whole configuration as plain data, for the record."""

@@ -68,8 +68,8 @@ def test_reproduce_leaves_every_result(workspace: Workspace) -> None:
     for column in ("home_id", "template", "formula", "seed", "start_x_m"):
         assert (frame.groupby("trial_id")[column].nunique() == 1).all(), f"planners differ in {column}"
     page = (workspace.output_dir / "report" / "index.html").read_text()
-    for kind in ("pdf", "svg"):
-        assert len(list((workspace.output_dir / "report" / "figures").glob(f"*.{kind}"))) > 5
+    figures = workspace.output_dir / "report" / "figures"
+    assert len(list(figures.glob("*.svg"))) > 5 and not list(figures.glob("*.pdf"))
     assert "pouct" in page and "http://" not in page.replace("http://www.w3.org", "")
     manifest = evaluation_manifest(workspace.output_dir)
     assert manifest.expected_episodes == len(frame)
@@ -387,10 +387,15 @@ def test_report_without_episodes_is_refused(cli: Cli) -> None:
 
 def test_a_run_of_another_store_is_reported_on(workspace: Workspace, cli: Cli, tmp_path: Path) -> None:
     shutil.copytree(workspace.output_dir, tmp_path / "given", ignore=shutil.ignore_patterns("report", ".lock"))
-    done = cli("report", f"output_dir={tmp_path / 'given'}", f"tracking.uri=sqlite:///{tmp_path / 'own.db'}")
+    command = ("report", f"output_dir={tmp_path / 'given'}", f"tracking.uri=sqlite:///{tmp_path / 'own.db'}")
+    done = cli(*command)
     assert done.code == 0, done.err
     assert "own.db does not hold this evaluation" in done.out
     assert (tmp_path / "given" / "report" / "index.html").is_file()
+    figures = tmp_path / "given" / "report" / "figures"
+    assert cli(*command, "pdf=true").code == 0
+    assert len(list(figures.glob("*.pdf"))) == len(list(figures.glob("*.svg"))) > 5
+    assert "unchanged, skipped" in cli(*command).out
 
 
 def test_a_real_process_ends_with_one_message_and_no_traceback(tmp_path: Path) -> None:

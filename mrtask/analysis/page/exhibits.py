@@ -61,7 +61,12 @@ class Picture:
     @property
     def files(self) -> tuple[tuple[str, str], ...]:
         """``(label, path from the page)`` of each file."""
-        return ("PDF", f"{FIGURES}/{self.name}.pdf"), ("SVG", f"{FIGURES}/{self.name}.svg")
+        return (("SVG", f"{FIGURES}/{self.name}.svg"),)
+
+    @property
+    def pdf_file(self) -> str:
+        """The path from the page of the figure for papers, which is drawn on request."""
+        return f"{FIGURES}/{self.name}.pdf"
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ MARKDOWN_SIGNS = re.compile(r"[\\`*_<>|~&$]|\](?=[(\[])")
 """What Markdown would read as code, emphasis, HTML, an entity, mathematics, a column, or the end of a link's text."""
 
 
-def paper_files(contents: Sequence[Content]) -> dict[str, bytes]:
-    """Path beside the page -> content, for every table, picture and other file of the sections."""
+def paper_files(contents: Sequence[Content], pdf: bool = False) -> dict[str, bytes]:
+    """Path beside the page -> content, for every table, picture (also as ``pdf``) and other file of the sections."""
     files: dict[str, bytes] = {}
     for content in contents:
         files |= {path: text.encode() for path, text in content.files.items()}
@@ -44,7 +44,9 @@ def paper_files(contents: Sequence[Content]) -> dict[str, bytes]:
             texts = (latex_table(table), markdown_table(table))
             files |= {path: text.encode() for (_, path), text in zip(table.files, texts, strict=True)}
         for picture in content.pictures:
-            files |= {path: data for (_, path), data in zip(picture.files, (picture.pdf, picture.svg), strict=True)}
+            files |= {path: picture.svg for _, path in picture.files}
+            if pdf:
+                files[picture.pdf_file] = picture.pdf
     return files
 
 

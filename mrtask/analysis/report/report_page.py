@@ -53,6 +53,8 @@ def render_report(
     manifest: Mapping[str, Any],
     homes: Mapping[str, Home],
     optimality: pd.DataFrame | None = None,
+    *,
+    pdf: bool = False,
 ) -> Report:
     """The report of a run, or of a sweep.
 
@@ -62,6 +64,7 @@ def render_report(
         manifest: what the run left as JSON: ``experiment, seed, planners, model {...}, homes {...}, wall_s, config,
             ...``; `mrtask.analysis.report.run_facts` reads it, and all of it is optional.
         homes: home id -> home, for drawing; trials in other homes are not drawn. `trials_to_draw` names those needed.
+        pdf: whether figures are drawn as PDF, too.
         optimality: one row per trial whose lower bound was computed; see `mrtask.bounds.assess`.
 
     Raises:
@@ -72,7 +75,7 @@ def render_report(
     return Report(
         _page(data, contents),
         result_table(data.summaries, data.published),
-        data.pages | paper_files(list(contents.values())),
+        data.pages | paper_files(list(contents.values()), pdf),
     )
 
 

@@ -123,7 +123,6 @@ def test_the_table_has_the_certified_bound_where_there_is_one():
 
 def test_the_section_is_in_the_report_of_a_run_that_has_the_ladder(monkeypatch):
     monkeypatch.setattr(exhibits, "svg_bytes", lambda figure: b"")
-    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
     frame = episodes(trials=4)
     assert 'id="gap"' in render_report(frame, MANIFEST | {"true_likelihoods": "counted"}, {}).page
     assert 'id="gap"' not in render_report(frame, {}, {}).page

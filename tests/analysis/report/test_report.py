@@ -105,12 +105,6 @@ def small(planners=("nonlearned_myopic", "learned_myopic", "pouct"), size_classe
     return make_episodes(4, planners, size_classes, robots)
 
 
-@pytest.fixture(autouse=True)
-def no_pdf(monkeypatch):
-    """Each figure is drawn once at most; the PDF is tested with the figures."""
-    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
-
-
 @pytest.fixture
 def blank_pictures(monkeypatch):
     """For tests of the text: figures are made but not drawn, which takes most of a report's time."""
@@ -143,8 +137,15 @@ def test_whole_report(tmp_path, two_room_home):
     for name in ("index.html", "table.csv", "methods.tex", "methods.md", "references.bib", "tables/paper.tex"):
         assert name in files, name
     kinds = {folder: {path.suffix for path in (tmp_path / folder).iterdir()} for folder in ("tables", "figures")}
-    assert kinds == {"tables": {".tex", ".md"}, "figures": {".pdf", ".svg"}}
+    assert kinds == {"tables": {".tex", ".md"}, "figures": {".svg"}}
     assert len(list((tmp_path / "figures").glob("*.svg"))) == len(page.images)
+
+
+def test_figures_for_papers_are_drawn_on_request(monkeypatch, blank_pictures):
+    monkeypatch.setattr(exhibits, "pdf_bytes", lambda figure: b"%PDF")
+    asked, plain = (set(render_report(small(), {}, {}, pdf=pdf).extras) for pdf in (True, False))
+    figures = {name.removesuffix(".svg") for name in plain if name.endswith(".svg")}
+    assert figures and asked - plain == {f"{name}.pdf" for name in figures}
 
 
 def test_a_listed_section_is_on_the_page_and_in_the_navigation(tmp_path, monkeypatch, blank_pictures):

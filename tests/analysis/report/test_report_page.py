@@ -35,7 +35,6 @@ def page_path(two_room_home, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         # Drawing takes most of a report's time and is tested elsewhere.
         patch.setattr(exhibits, "svg_bytes", lambda figure: b"<svg xmlns='http://www.w3.org/2000/svg'/>")
-        patch.setattr(exhibits, "pdf_bytes", lambda figure: b"")
         write_report(render_report(frame, {"output_dir": "outputs/x"}, {home.id: home}), path)
     return path
 
