@@ -1,6 +1,6 @@
 """Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network.
 
-Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as SVG and, with ``pdf=true``, as PDF.
+Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as SVG (with ``pdf=true``, also PDF).
 
 On the output_dir of a sweep it compares the sweep's cells.
 """
