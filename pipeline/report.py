@@ -1,6 +1,6 @@
 """Writes the report of a run: ``<output_dir>/report/index.html``, one file that needs no network.
 
-Beside it lie ``table.csv``, replays, every table as LaTeX and Markdown, every figure as SVG (with ``pdf=true``, also PDF).
+Beside it lie ``table.csv``, replays, tables as LaTeX and Markdown, and figures as SVG (with ``pdf=true``, also as PDF).
 
 On the output_dir of a sweep it compares the sweep's cells.
 """
