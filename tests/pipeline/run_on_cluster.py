@@ -57,6 +57,8 @@ def main(workspace: Path, gate: Gate, other_code: Path, *overrides: str) -> None
         code = run_stage("evaluate", *overrides, *on_cluster)
         saboteur.join(NOTICED_WITHIN_S)
     finally:
+        gate.open()
+        ray.shutdown()
         cluster.shutdown()
     print(json.dumps(said))
     sys.exit(code)
