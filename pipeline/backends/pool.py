@@ -460,7 +460,7 @@ def _start(cluster: Cluster) -> Path | None:
         _check_reachable(cluster.address)
     _keep_token_private()
     try:
-        context = ray.init(address=cluster.address, **options)
+        context: Any = ray.init(address=cluster.address, **options)
     except Exception as error:  # Ray raises a bare one where its start takes too long
         said = " ".join(str(error).split()).rstrip(".")
         raise UserError(
