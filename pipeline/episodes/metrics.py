@@ -38,8 +38,8 @@ def most_telling(summary: Summary) -> list[str]:
     costs = {planner: summary.planner_cells[EVERYTHING, planner].cost_cells.value for planner in summary.planners}
     best = sorted(summary.planners, key=lambda planner: costs[planner] if math.isfinite(costs[planner]) else math.inf)
     baselines = [planner for planner in BASELINES if planner in summary.planners]
-    first = [main for main in [main_planner(summary.planners)] if main is not None]
-    return list(dict.fromkeys([*first, *baselines, *best]))[:MOST_PLANNERS]
+    main = [main_planner(summary.planners) or best[0]]
+    return list(dict.fromkeys([*main, *baselines, *best]))[:MOST_PLANNERS]
 
 
 def table_of(summary: Summary) -> pd.DataFrame:

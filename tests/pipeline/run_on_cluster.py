@@ -25,7 +25,7 @@ def main(workspace: Path, gate: Gate, other_code: Path, *overrides: str) -> None
     os.chdir(workspace)
     gate.shut_after(6)
     head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_period_ms": CHECKED_EVERY_MS}}
-    # What Ray would do at exit needs signal handlers, which only the main thread can set; nodes join from another.
+    # Ray's own end at exit needs signal handlers, which only the main thread can set; a node joins from another one.
     cluster = Cluster(initialize_head=True, head_node_args=head, shutdown_at_exit=False)
     doomed = cluster.add_node(num_cpus=1)
     path = os.pathsep.join([str(other_code), os.environ["PYTHONPATH"]])
@@ -57,6 +57,8 @@ def main(workspace: Path, gate: Gate, other_code: Path, *overrides: str) -> None
         code = run_stage("evaluate", *overrides, *on_cluster)
         saboteur.join(NOTICED_WITHIN_S)
     finally:
+        gate.open()
+        ray.shutdown()
         cluster.shutdown()
     print(json.dumps(said))
     sys.exit(code)
