@@ -58,6 +58,8 @@ def line(text: str) -> None:
 
 def _print(text: str) -> None:
     """Print a line, above a bar that is drawn meanwhile; in one piece, as several threads may print."""
+    from tqdm import tqdm  # only a run says lines, and a mistake is to be told at once
+
     with tqdm.external_write_mode(sys.stdout):
         print(f"{_label.get()}{without_secrets(text)}\n", end="", flush=True)
 
@@ -112,7 +114,7 @@ class Progress(AbstractContextManager["Progress"]):
 
     def _opened(self) -> "tqdm[object]":
         """Return the bar on the terminal."""
-        from tqdm import tqdm  # only a run has a bar, and a mistake is to be told at once
+        from tqdm import tqdm
 
         form = INDENT + "{percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
         return tqdm(
