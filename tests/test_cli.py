@@ -21,7 +21,8 @@ def mrtask(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
 
 def test_every_stage_and_tool_is_a_command() -> None:
     known = cli.commands()
-    modules = {path.stem for path in (ROOT / "pipeline").glob("*.py") if "\n    main(" in path.read_text()} | {"live"}
+    modules = {path.stem for path in (ROOT / "pipeline").glob("*.py") if '__name__ == "__main__"' in path.read_text()}
+    modules.add("live")
     assert {name for name, command in known.items() if command.module.startswith("pipeline.")} == modules
     for name, command in known.items():
         assert find_spec(command.module) is not None
