@@ -101,7 +101,7 @@ def test_stages_run_from_it(site: Path, tmp_path: Path) -> None:
     assert refused.returncode == 2 and "no command 'reproduced'" in refused.stderr
     homes = ("homes.train=3", "homes.validation=1", "homes.test=2", "model=frequency")
     episodes = ("evaluation.planners=[nonlearned_myopic]", "evaluation.trials_per_cell=1", "evaluation.robots=[1]")
-    arguments = [*homes, *episodes, "evaluation.size_classes=[small]", "output_dir=out", "cluster.cpus=1"]
+    arguments = [*homes, *episodes, "evaluation.size_classes=[small]", "output_dir=out", "cluster.cpus=1", "pdf=true"]
     done = run(site, tmp_path, "-m", "mrtask.cli", "reproduce", *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     assert (tmp_path / "out" / "report" / "index.html").is_file()

@@ -10,7 +10,7 @@ from mrtask.names import name_to_text
 
 if TYPE_CHECKING:
     from mrtask.arrays import Bools
-    from mrtask.homes.home import Container, Point
+    from mrtask.homes.home import Container
 
 ALIKE = "alike"
 """The name of a team whose robots do not differ."""
@@ -30,7 +30,7 @@ class RobotSpec:
     """The types of objects with which it can interact; None: all."""
     opens: tuple[str, ...] | None = None
     """The types of containers that it can search and use; None: all."""
-    start_m: "Point | None" = None
+    start_m: tuple[float, float] | None = None
     """Where it starts, in the map's metres; None: with the team."""
     name: str = ""
 

@@ -91,10 +91,16 @@ def read_suite(path: Path) -> Suite:
     return Suite(
         name=raw["name"],
         homes={home.id: home for home in homes},
-        trials=TypeAdapter(tuple[Trial, ...]).validate_python(raw["trials"]),
+        trials=TypeAdapter(tuple[Trial, ...]).validate_python([_with_members(trial) for trial in raw["trials"]]),
         table=LikelihoodTable(kinds, tuple(raw["likelihood"]["objects"]), probs),
         travel_mm={home.id: np.array(lengths) for home, lengths in zip(homes, raw["travel_mm"], strict=True)},
     )
+
+
+def _with_members(trial: dict[str, Any]) -> dict[str, Any]:
+    """Return a trial with its team's members: files from before robots could differ have a number and one kind."""
+    team = trial["team"]
+    return trial if "members" in team else trial | {"team": {"members": [team["spec"]] * team["robots"]}}
 
 
 def write_suite(path: Path, name: str, homes: Sequence[Home], trials: Sequence[Trial], table: LikelihoodTable) -> str:

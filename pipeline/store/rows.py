@@ -351,11 +351,10 @@ def _read_part(folder: Folder, name: str, columns: list[str] | None = None) -> p
         file = pq.ParquetFile(io.BytesIO(content))
         there = file.schema_arrow.names
         table = file.read(None if columns is None else [name for name in columns if name in there])
-        for place, column in enumerate(schema.names):
-            if column in LATER_COLUMNS and column not in there:
-                table = table.add_column(
-                    place, schema.field(column), pa.nulls(table.num_rows, schema.field(column).type)
-                )
+        for later in LATER_COLUMNS & {*schema.names} - {*there}:
+            table = table.append_column(later, pa.nulls(table.num_rows, schema.field(later).type))
+        if {*table.column_names} == {*schema.names}:
+            table = table.select(schema.names)
     except (pa.ArrowInvalid, OSError) as error:
         raise UserError(
             f"{folder}/{name} is damaged ({error}); remove it and run again: only its rows are redone"

@@ -56,8 +56,8 @@ def test_tasks_of_a_chain_are_in_one_home(context: Context) -> None:
 def test_each_task_begins_with_what_the_earlier_ones_showed(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     given, run = [], worker.run_episode
 
-    def watched(trial, home, home_map, likelihood, *planner, observe=None):  # type: ignore[no-untyped-def]
-        result = run(trial, home, home_map, likelihood, *planner, observe=observe)
+    def watched(trial, home, home_map, likelihood, *planner, **options):  # type: ignore[no-untyped-def]
+        result = run(trial, home, home_map, likelihood, *planner, **options)
         given.append((trial, home, likelihood, result))
         return result
 

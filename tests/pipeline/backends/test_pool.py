@@ -1,14 +1,15 @@
 """The pool against dying, failing and hanging tasks."""
 
 import itertools
-import os
+import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 
 from pipeline.backends import pool as pool_module
@@ -17,6 +18,7 @@ from pipeline.base.config import UserError
 from pipeline.base.sections import Cluster
 from pipeline.store import version
 from tests.pipeline import pool_tasks as tasks
+from tests.pipeline.harness import ROOT
 
 LOCAL = Cluster(address="local", cpus=2, memory_per_task_gb=0.5, retries=2)
 
@@ -169,17 +171,27 @@ def test_an_older_build_cannot_answer_by_its_own_comparison(
     assert not list(tmp_path.iterdir()), "it was run"
 
 
-def test_ray_on_this_machine_listens_on_the_loopback_alone_and_asks_for_a_token(pool: Pool) -> None:
+LISTENERS = """
+import json, os, psutil
+from pipeline.backends.pool import Pool
+from pipeline.base.sections import Cluster
+from tests.pipeline import pool_tasks as tasks
+with Pool(Cluster(address="local", cpus=1, memory_per_task_gb=0.5, retries=2)) as pool:
     list(pool.run(tasks.square, range(2)))
-    listening = [
-        (process.name(), connection.laddr.ip)
-        for process in [psutil.Process(), *psutil.Process().children(recursive=True)]
-        for connection in process.net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    ]
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    found = [(one.name(), at) for one in processes for at in one.net_connections("tcp")]
+    found = [(name, at.laddr.ip) for name, at in found if at.status == "LISTEN"]
+    print(json.dumps([found, os.environ["RAY_AUTH_MODE"], os.environ["RAY_AUTH_TOKEN"]]))
+"""
+"""A process of its own: Ray reads where to listen when it is imported, and a test before may have imported it."""
+
+
+def test_ray_on_this_machine_listens_on_the_loopback_alone_and_asks_for_a_token() -> None:
+    done = subprocess.run([sys.executable, "-c", LISTENERS], cwd=ROOT, capture_output=True, text=True, check=True)
+    listening, mode, token = json.loads(done.stdout.splitlines()[-1])
     assert {"gcs_server", "raylet"} <= {name for name, _ in listening}
     assert {ip for _, ip in listening} <= {"127.0.0.1", "::ffff:127.0.0.1"}, listening
-    assert os.environ["RAY_AUTH_MODE"] == "token" and os.environ["RAY_AUTH_TOKEN"]
+    assert mode == "token" and token
 
 
 def test_a_token_is_its_owners_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import os
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -244,10 +245,15 @@ def test_a_store_that_refuses_for_a_while_loses_nothing_and_holds_nobody_up(
         for number in range(20):  # returns at once, again and again, while nothing can be written
             writer.add(row(number))
         assert not keys(folder)
+        text, until_s = "", time.monotonic() + 60
+        while "tries again" not in text:  # the thread that writes has tried once
+            assert time.monotonic() < until_s
+            time.sleep(0.01)
+            text += capsys.readouterr().out
         store.down = False
         writer.close()
     assert keys(folder) == Counter({(f"small-1-{number:03d}", "greedy"): 1 for number in range(20)})
-    said = capsys.readouterr().out.splitlines()
+    said = (text + capsys.readouterr().out).splitlines()
     assert [line.count("tries again for up to 10 min") for line in said] == [1, 0] and "answers again" in said[1]
     assert not (tmp_path / "unsent").exists()
 
