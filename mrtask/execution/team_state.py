@@ -26,7 +26,7 @@ from mrtask.execution.team_spec import RobotSpec
 from mrtask.execution.trace import Letter, Trace
 from mrtask.homes.home import Container
 from mrtask.maps.home_map import HomeMap
-from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotKind, RobotStatus, safe
+from mrtask.planning.problem import ANY_SAFE, WAIT, Assignment, PlanningProblem, RobotKind, safe
 from mrtask.tasks.automaton import Automaton
 
 
@@ -88,7 +88,7 @@ class TeamState:
         """Return what a planner may know now, of the `active` robots. What none of them can get to holds nothing."""
         active = [self.robots[index] for index in self.active]
         kinds = list(dict.fromkeys(robot.spec.kind for robot in active))
-        robots = tuple(self._status(robot, kinds.index(robot.spec.kind)) for robot in active)
+        robots = tuple(replace(robot.status(self.time_s), kind=kinds.index(robot.spec.kind)) for robot in active)
         reach = _finite([robot.travel_s for robot in robots], len(self.containers))
         return PlanningProblem(
             automaton=self.automaton,
@@ -318,15 +318,6 @@ class TeamState:
         for robot, way_s in zip(robots, ways_s, strict=True):
             touchable |= np.isfinite(way_s)[:, None] & robot.spec.can_touch(self.labels.objects)
         return touchable
-
-    def _status(self, robot: Robot, kind: int) -> RobotStatus:
-        """Return what a planner may know of a robot.
-
-        The team's travel times say nothing of ways from a container at which only this robot can be.
-        """
-        status = replace(robot.status(self.time_s), kind=kind)
-        elsewhere = robot.free and robot.home_map is not self.maps[robot.spec.radius_m]
-        return replace(status, place=-1) if elsewhere else status
 
     def _within_reach(self) -> NDArray[np.bool_]:
         """Return the containers [C] to which some robot can be sent now."""

@@ -156,6 +156,11 @@ class PlanningProblem:
         """Return whether the object is known to be in the container."""
         return bool(self.searched[container]) and self.presence_prob[container, obj] > 0
 
+    def on_own_ways(self, robot: RobotStatus) -> bool:
+        """Return whether a robot stands at a container from which its kind's ways do not lead where its own ones do."""
+        there = np.isfinite(self.kinds[robot.kind].travel_s[robot.place])
+        return robot.place >= 0 and bool((there != np.isfinite(robot.travel_s)).any())
+
     def deciders(self, reassign: str) -> list[int]:
         """Return the robots that a planner may assign: the free ones and, with ``all``, those it may redirect now."""
         redirect = reassign == "all" and self.may_redirect

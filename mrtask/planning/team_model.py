@@ -53,15 +53,32 @@ def team_model(problem: PlanningProblem, decide_all: bool = False) -> kernel.Mod
 
 
 def ways_s(problem: PlanningProblem) -> Floats:
-    """Return the travel times of all kinds of robots, one below the other, [K * C, C]."""
-    return np.concatenate([kind.travel_s for kind in problem.kinds]).astype(np.float64)
+    """Return the travel times of all kinds of robots, and those of robots on own ways, one below the other."""
+    return np.concatenate(_ways_and_rows(problem)[0]).astype(np.float64)
+
+
+def _ways_and_rows(problem: PlanningProblem) -> tuple[list[Floats], list[int]]:
+    """Return travel times [C, C], and each robot's first row in them, one below the other.
+
+    These are the kinds' times. A robot that only its own ways lead from where it stands has a table of its own.
+    """
+    ways = [kind.travel_s for kind in problem.kinds]
+    tables = []
+    for robot in problem.robots:
+        tables.append(robot.kind)
+        if problem.on_own_ways(robot):
+            own = ways[robot.kind].copy()
+            own[robot.place] = robot.travel_s
+            tables[-1] = len(ways)
+            ways.append(own)
+    return ways, [table * len(problem.searched) for table in tables]
 
 
 def kind_fields(problem: PlanningProblem) -> dict[str, ArrayLike]:
     """Return what robots' records say of their kinds, each [R]: the first row in `ways_s`, and the times."""
     kinds = [problem.kinds[robot.kind] for robot in problem.robots]
     return {
-        "rows": [robot.kind * len(problem.searched) for robot in problem.robots],
+        "rows": _ways_and_rows(problem)[1],
         "search_time_s": [kind.search_time_s for kind in kinds],
         "interact_time_s": [kind.interact_time_s for kind in kinds],
     }

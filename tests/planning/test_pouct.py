@@ -304,3 +304,22 @@ def test_histories_of_many_containers_do_not_meet():
     once = history_after(np.int64(0), held, containers, len(containers)).ravel()
     twice = history_after(once[:, None, None], held, containers, len(containers)).ravel()
     assert len({0, *once.tolist(), *twice.tolist()}) == 1 + len(once) + len(twice)
+
+
+def test_a_robot_that_only_its_own_ways_lead_away_acts_where_it_stands():
+    # It stands at both objects, inside a barrier that the team's ways avoid; going there once more is no action.
+    problem = make_problem(
+        "(!b U a) & F b",
+        ["a", "b"],
+        [[0, 0], [5, 0]],
+        [[0, 0]],
+        [[1, 1], [0.2, 0.2]],
+        searched=[0],
+        interact_time_s=2.0,
+    )
+    travel_s = problem.kinds[0].travel_s.copy()
+    travel_s[0, 1] = travel_s[1, 0] = np.inf
+    barred = replace(problem, kinds=(replace(problem.kinds[0], travel_s=travel_s),))
+    for name in ("pouct", "pouct_paper"):
+        plan = make_planner(name, {"samples": 50}).plan(barred, seed=0)
+        assert plan.assignments[0] == (0, 0)
