@@ -97,7 +97,7 @@ def test_a_run_that_mostly_fails_is_stopped(workspace: Workspace, cli: Cli) -> N
 def test_an_episode_that_hangs_is_a_timeout_row(workspace: Workspace, cli: Cli) -> None:
     hanging = cli(
         "evaluate", *workspace.overrides, f"evaluation.planners=[{OWN}.Hanging]", "evaluation.size_classes=[small]",
-        "evaluation.trials_per_cell=1", "evaluation.episode_timeout_s=2", "output_dir=outputs/hanging",
+        "evaluation.trials_per_cell=1", "evaluation.episode_timeout_s=6", "output_dir=outputs/hanging",
         cwd=workspace.path,
     )  # fmt: skip
     assert hanging.code == 0
