@@ -40,6 +40,8 @@ class Robot:
     spec: RobotSpec
     usable: NDArray[np.bool_]
     """[C] the containers whose types it opens."""
+    touches: NDArray[np.bool_]
+    """[O] the task objects that it handles."""
     home_map: HomeMap
     """Its ways. They are the team's, unless it stands where the team's map has no floor."""
     labels: Labels

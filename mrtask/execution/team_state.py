@@ -243,8 +243,8 @@ class TeamState:
 
     def new_robot(self, position: Position, spec: RobotSpec) -> Robot:
         """Return a robot at this position, which is not in the team yet."""
-        usable, home_map = spec.can_use(self.furniture), self.maps[spec.radius_m]
-        return Robot(position, spec, usable, home_map, self.labels, since_s=self.time_s)
+        usable, touches = spec.can_use(self.furniture), spec.can_touch(self.labels.objects)
+        return Robot(position, spec, usable, touches, self.maps[spec.radius_m], self.labels, since_s=self.time_s)
 
     @property
     def home_map(self) -> HomeMap:
@@ -316,7 +316,7 @@ class TeamState:
         """Return [C, O] whether a robot can get to the container and touch the object; ways_s [R, C] are its ways."""
         touchable = np.zeros(self.belief.presence_prob.shape, dtype=bool)
         for robot, way_s in zip(robots, ways_s, strict=True):
-            touchable |= np.isfinite(way_s)[:, None] & robot.spec.can_touch(self.labels.objects)
+            touchable |= np.isfinite(way_s)[:, None] & robot.touches
         return touchable
 
     def _within_reach(self) -> NDArray[np.bool_]:
@@ -340,7 +340,7 @@ class TeamState:
     def _allowed(self, robot: Robot) -> NDArray[np.bool_]:
         """Return the objects [O] with which the robot may interact here now: the one it was sent for, or safe ones."""
         wanted, here = robot.assignment.interaction, self.belief.presence_prob[robot.place] > 0
-        here &= robot.spec.can_touch(self.labels.objects)
+        here &= robot.touches
         here[robot.setbacks.objects_left_alone(robot.place, self.time_s)] = False
         if self.one_per_letter:
             doing = frozenset(one.act.obj for one in self.robots if one.act.kind is ActKind.INTERACT)

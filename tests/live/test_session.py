@@ -17,7 +17,7 @@ from mrtask.live.messages import schemas
 from mrtask.live.session import MAX_BYTES, LiveSession, replay
 from mrtask.live.state_file import read_state
 from mrtask.live.store import mark, restore, return_to, save
-from tests.live.fuzz import Stream
+from tests.live.fuzz import OPTIONS, Stream
 from tests.live.test_team import two_robots
 
 
@@ -280,6 +280,12 @@ def test_state_is_kept_before_anything_is_said_and_the_log_replays(two_room_home
 @given(st.integers(0, 2**32), st.sampled_from(["greedy", "learned_myopic", "nonlearned_myopic"]))
 def test_no_stream_of_events_does_harm(two_room_home, two_room_map, seed, planner):
     Stream(two_robots(two_room_home, two_room_map, planner), seed, [door.id for door in two_room_home.doors]).run(30)
+
+
+def test_a_robot_inside_a_barrier_is_not_sent_where_it_stands(two_room_home, two_room_map):
+    # Found by the fuzz, as stream 20888: told to go where it stood, it was free at once, and never interacted.
+    live = two_robots(two_room_home, two_room_map, "pouct", "(!Pillow U Egg) & F Pillow", options=OPTIONS)
+    Stream(live, 20888, [door.id for door in two_room_home.doors]).run(30)
 
 
 def test_the_checks_on_streams_notice_a_forgotten_find(two_room_home, two_room_map):

@@ -323,3 +323,5 @@ def test_a_robot_that_only_its_own_ways_lead_away_acts_where_it_stands():
     for name in ("pouct", "pouct_paper"):
         plan = make_planner(name, {"samples": 50}).plan(barred, seed=0)
         assert plan.assignments[0] == (0, 0)
+        gone = replace(barred, presence_prob=np.array([[0.0, 0.0], [0.2, 0.2]]))
+        assert make_planner(name, {"samples": 50}).plan(gone, seed=0).assignments[0].container == 1

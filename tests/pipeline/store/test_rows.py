@@ -1,7 +1,6 @@
 """The episodes dataset under interruptions: whatever breaks at whatever step, no finished row is lost or doubled."""
 
 import errno
-import io
 import json
 import os
 import time
@@ -18,7 +17,7 @@ from mrtask.analysis.results.episodes import REQUIRED_COLUMNS
 from pipeline.base.config import UserError
 from pipeline.store import folder as storage
 from pipeline.store import rows as results
-from pipeline.store.episode_row import SCHEMA, EpisodeRow
+from pipeline.store.episode_row import LATER_COLUMNS, SCHEMA, EpisodeRow
 from pipeline.store.folder import Folder, locked
 from pipeline.store.rows import EpisodeWriter, differences, read_episodes, read_table, read_traces
 
@@ -79,19 +78,6 @@ def test_the_columns_are_those_of_every_published_run() -> None:
         "trace: string", "node: string",
     ]  # fmt: skip
     assert set(REQUIRED_COLUMNS) <= set(SCHEMA.names)
-
-
-def test_rows_of_earlier_versions_have_no_team(folder: Folder) -> None:
-    writer = EpisodeWriter(folder)
-    writer.add(row(0))
-    writer.close()
-    [name] = [name for name in folder.names() if name.endswith(".parquet")]
-    content = folder.read(name)
-    assert content is not None
-    buffer = io.BytesIO()
-    pq.write_table(pq.read_table(io.BytesIO(content)).drop_columns(["team"]), buffer)
-    folder.write(name, buffer.getvalue())
-    assert read_episodes(folder)["team"].isna().all()
 
 
 def test_a_part_is_readable_by_plain_pyarrow(tmp_path: Path) -> None:
@@ -209,13 +195,14 @@ def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
         read_episodes(Folder(str(tmp_path)))
 
 
-def test_rows_from_before_a_column_was_added_can_be_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("column", sorted(LATER_COLUMNS))
+def test_rows_from_before_a_column_was_added_can_be_read(column: str, tmp_path: Path) -> None:
     writer = EpisodeWriter(Folder(str(tmp_path)))
     writer.add(row(0))
     writer.close()
     [part] = tmp_path.glob("part-*.parquet")
-    pq.write_table(pq.read_table(part).drop_columns(["node"]), part)
-    assert read_episodes(Folder(str(tmp_path)))["node"].isna().tolist() == [True]
+    pq.write_table(pq.read_table(part).drop_columns([column]), part)
+    assert read_episodes(Folder(str(tmp_path)))[column].isna().tolist() == [True]
 
 
 class Store:
